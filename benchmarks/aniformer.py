@@ -26,8 +26,8 @@ from mimesh.core.mesh import Clip
 from mimesh.evaluate.provenance import commit, libraries, machine
 from mimesh.io import save_clip, save_mesh
 from mimesh.io.atomic import whole_file
-from mimesh.methods.aniformer import OVERLAP, AniFormerMethod
 from mimesh.methods.find import find_method
+from mimesh.methods.npt import OVERLAP, AniFormerMethod
 from mimesh.methods.onnx_runtime import import_onnxruntime
 from mimesh.motions import motion_clip
 from mimesh.motions.procedural import walk_motion

@@ -33,11 +33,10 @@ from torch._inductor.exc import InductorError
 from mimesh.io.atomic import whole_file
 from mimesh.learn.checkpoint import hardware
 from mimesh.learn.config import load_config
-from mimesh.learn.cost import training_operations
 from mimesh.learn.loop import FULL_RATE, TrainingRun, train
 from mimesh.learn.start import begin_with
 from mimesh.learn.table_rows import ROWS
-from mimesh.learn.task import TrainConfig
+from mimesh.learn.task import TrainConfig, training_operations
 
 WARM_STEPS, TIMED_STEPS, PROFILED_STEPS = 6, 40, 3
 """Of `--rate`: steps before the clock starts, steps timed, and steps listed kernel by kernel."""

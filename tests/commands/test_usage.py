@@ -19,7 +19,7 @@ from mimesh.commands import about, common, terminal
 from mimesh.core.errors import did_you_mean
 from mimesh.core.options import Hints, Layout, ModelOptions, values_of
 from mimesh.methods.find import MODELS, NETWORK_OF_BODY
-from mimesh.methods.onnx_metadata import PAIRINGS
+from mimesh.methods.onnx_models import PAIRINGS
 from mimesh.methods.onnx_runtime import THREADS
 
 COPIED = "transfer hero.obj pose.obj -m copy --no-preview "

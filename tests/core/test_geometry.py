@@ -112,7 +112,7 @@ def test_smooth_normals_follow_a_bent_surface():
     body = load_body()
     smooth = geometry.vertex_normals(body.vertices, body.faces)[body.faces]
     bent = body.vertices * [1, 1, 1] + 0.2 * np.sin(2 * body.vertices[:, [1, 2, 0]])
-    moved = geometry.turn_normals(smooth, body.faces, body.vertices, bent)
+    moved = geometry.normal_turner(smooth, body.faces, body.vertices)(bent)
     np.testing.assert_allclose(np.linalg.norm(moved, axis=-1), 1, atol=1e-9)
     expected = geometry.vertex_normals(bent, body.faces)[body.faces]
     assert np.quantile((moved * expected).sum(-1), 0.01) > 0.999

@@ -106,7 +106,7 @@ def test_normals_change_nothing_and_are_not_turned(monkeypatch):
     normals = np.broadcast_to([0.0, 1.0, 0.0], (len(mesh.faces), 3, 3)).copy()
     shaded = dataclasses.replace(mesh, corner_normals=normals)
     expected, points = normalised_points(mesh)
-    monkeypatch.setattr(mesh_module, "turn_normals", lambda *_: pytest.fail("normals are turned"))
+    monkeypatch.setattr(mesh_module, "normal_turner", lambda *_: pytest.fail("normals are turned"))
     norm, shaded_points = normalised_points(shaded)
     assert (points == shaded_points).all()
     front = np.array([0.3, 0.0, 1.0])

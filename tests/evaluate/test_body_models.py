@@ -14,8 +14,7 @@ from smpl_files import loop_vertices, small_arrays, write_model
 from mimesh.__main__ import run
 from mimesh.bodies.sampling import TABLE_6
 from mimesh.core.errors import InputError
-from mimesh.evaluate.clip_protocols import ClipPair
-from mimesh.evaluate.measure import measure, measure_clip
+from mimesh.evaluate.measure import measure
 from mimesh.io import load_clip, load_mesh
 
 FRAMES = 30
@@ -96,8 +95,7 @@ def assert_same_figures(report, protocol, prefix):
         assert row["pairs"] > 0
         for i in range(row["pairs"]):
             trial = protocol.pair("test", row["split"].removeprefix(prefix), i)
-            measured = measure_clip if isinstance(trial, ClipPair) else measure
-            expected = measured(trial, row["method"]) | dict(zip(("identity", "driving"), trial.groups, strict=True))
+            expected = measure(trial, row["method"]) | dict(zip(("identity", "driving"), trial.groups, strict=True))
             assert {"seconds", "pmd_e4", "pmd_public_e4", "mm"} < expected.keys()
             for metric in expected.keys() - {"seconds", "still_mm"}:
                 value = row["each"][metric][i]

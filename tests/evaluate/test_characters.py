@@ -27,10 +27,9 @@ from mimesh.evaluate.characters import (
     pose_character,
 )
 from mimesh.evaluate.generate import generate_command
-from mimesh.evaluate.markdown import kind_table, markdown
+from mimesh.evaluate.markdown import kind_table, markdown, summary
 from mimesh.evaluate.measure import Output, measure
 from mimesh.evaluate.run import evaluate_command, find_protocol
-from mimesh.evaluate.summary import summary
 
 WITHIN = ("table6", "limits", "clips")
 ACROSS = tuple(f"across-{kind}" for kind in WITHIN)
@@ -251,7 +250,7 @@ def test_characters_of_the_test_split_are_not_drawn(folder, tmp_path):
 def test_result_that_is_not_finite_is_counted_as_a_failure(protocol, monkeypatch):
     """A method must not improve its mean by failing."""
     pair = protocol.pair("val", "limits", 0)
-    monkeypatch.setattr("mimesh.evaluate.measure.run_on_pair", lambda pair, method: Output(pair.truth * np.nan))
+    monkeypatch.setattr("mimesh.evaluate.measure.run_on", lambda pair, method: Output(pair.truth * np.nan))
     figures = measure(pair, "identity")
     assert set(figures) == {"failed"}
     good = {"pmd_e4": 1.0, "pmd_public_e4": 1.0, "mm": 1.0, "seconds": 1.0}
@@ -262,7 +261,7 @@ def test_result_that_is_not_finite_is_counted_as_a_failure(protocol, monkeypatch
 
 def test_truth_has_no_error_and_the_unmoved_identity_has_one(protocol, monkeypatch):
     pair = protocol.pair("val", "limits", 0)
-    monkeypatch.setattr("mimesh.evaluate.measure.run_on_pair", lambda pair, method: Output(pair.truth))
+    monkeypatch.setattr("mimesh.evaluate.measure.run_on", lambda pair, method: Output(pair.truth))
     metrics = measure(pair, "any")
     assert metrics["pmd_e4"] == pytest.approx(0, abs=1e-9)
     assert metrics["limb_deg"] < 3

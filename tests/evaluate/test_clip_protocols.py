@@ -19,7 +19,7 @@ from mimesh.evaluate.clip_protocols import (
     SEEN,
     UNSEEN,
 )
-from mimesh.evaluate.measure import extra_inputs, in_supported_order, run_on_clip
+from mimesh.evaluate.measure import extra_inputs, in_supported_order, run_on
 from mimesh.evaluate.metrics import pmd, pmd_aligned, resized
 from mimesh.evaluate.pairs import human
 from mimesh.motions import load_motion
@@ -221,9 +221,9 @@ def test_networks_that_pair_by_index_are_measured_here_and_refused_where_vertice
         truth_frames=ordered.truth_frames[:3],
         aligned_frames=ordered.aligned_frames[:3],
     )
-    assert run_on_clip(short, network).vertices.shape == (3, 6890, 3)
+    assert run_on(short, network).vertices.shape == (3, 6890, 3)
     with pytest.raises(InputError, match="other triangles"):
-        run_on_clip(shuffled, network)
+        run_on(shuffled, network)
 
 
 def test_a_network_with_weights_for_each_vertex_gets_the_order_of_the_body(monkeypatch):

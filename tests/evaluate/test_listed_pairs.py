@@ -25,7 +25,7 @@ from mimesh.evaluate.listed_pairs import (
     write_list,
 )
 from mimesh.evaluate.markdown import markdown
-from mimesh.evaluate.measure import measure, measure_clip
+from mimesh.evaluate.measure import measure
 from mimesh.evaluate.protocols import CONTACT
 from mimesh.evaluate.run import evaluate_command, find_protocol
 from mimesh.io import save_clip, save_mesh
@@ -263,7 +263,7 @@ def test_meshes_and_clips_are_not_mixed(clips, folder):
 def test_copy_is_not_applicable_to_clips_without_triangles(clips):
     trial = listed_pairs(clips / "own.txt").pair("", "own", 0)
     save_clip(Clip(figure(1, faces=False), trial.clip.vertices, 60.0), clips / "walk.npz")
-    assert measure_clip(listed_pairs(clips / "own.txt").pair("", "own", 0), "copy").keys() == {"why"}
+    assert measure(listed_pairs(clips / "own.txt").pair("", "own", 0), "copy").keys() == {"why"}
 
 
 @pytest.fixture

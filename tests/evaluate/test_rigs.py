@@ -10,15 +10,17 @@ from pools import write_character
 from mimesh.core.errors import InputError
 from mimesh.evaluate import rigs
 from mimesh.evaluate.markdown import markdown
-from mimesh.evaluate.rig_metrics import (
+from mimesh.evaluate.rigs import (
+    ListedRig,
     bones_to_bones,
+    compare,
+    deformation_error,
     joints_to_bones,
     joints_to_joints,
     limb_radius,
     matched_share,
     weights_apart,
 )
-from mimesh.evaluate.rigs import ListedRig, compare, deformation_error
 from mimesh.evaluate.run import evaluate_command
 
 LINE = np.array([[0.0, 0, 0], [0, 1, 0], [0, 2, 0]])

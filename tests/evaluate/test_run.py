@@ -19,9 +19,7 @@ from mimesh.evaluate.measure import (
     Output,
     extra_inputs,
     measure,
-    measure_clip,
-    run_on_clip,
-    run_on_pair,
+    run_on,
 )
 from mimesh.evaluate.metrics import box_radius, resized
 from mimesh.evaluate.protocols import CROSS_TOPOLOGY, HUMAN_NPT, HumanNpt
@@ -37,12 +35,12 @@ def test_network_without_a_size_gets_that_of_the_truth(tmp_path):
     """As in the validation of its training."""
     network = str(write_network(tmp_path / "truth.onnx", target_scale="truth"))
     pair = HUMAN_NPT.pair("val", "unseen", 0)
-    sized = run_on_pair(pair, network).vertices
+    sized = run_on(pair, network).vertices
     axes = {"up": "+y", "front": "+z", "driving_up": "+y", "driving_front": "+z"}
     free = transfer(pair.identity, pair.driving, network, **grouped(**axes, refine=False))
     assert np.allclose(resized(free.vertices, sized), resized(sized, sized), atol=1e-4)
     same = str(write_network(tmp_path / "identity.onnx", target_scale="identity"))
-    sizes = [np.ptp(points, axis=0).max() for points in (sized, run_on_pair(pair, same).vertices)]
+    sizes = [np.ptp(points, axis=0).max() for points in (sized, run_on(pair, same).vertices)]
     radii = [radius(points - bbox_centre(points)) for points in (pair.truth, pair.identity.vertices)]
     assert np.isclose(sizes[0] / sizes[1], radii[0] / radii[1])
     assert "true size" in extra_inputs(network)
@@ -71,7 +69,7 @@ def test_offset_of_a_network_counts_in_equation_7_alone(scale, tmp_path):
     for name in ("pmd_public_e4", "mm", "edge_score", "flipped"):
         assert beside[name] == pytest.approx(centred[name], rel=1e-4), name
     unit = Normalization.fit(pair.identity, "+y", "+z").radius if scale == "identity" else box_radius(pair.truth)
-    result = run_on_pair(pair, network)
+    result = run_on(pair, network)
     assert np.array_equal(result.origin, np.zeros(3))
     naive = [
         np.square(result.vertices + offset - (pair.truth - bbox_centre(pair.truth))).sum(axis=1).mean()
@@ -178,13 +176,13 @@ def shortened(trial, frames):
 def test_clip_of_a_network_equals_its_single_frames(trial, scale, tmp_path):
     """Prepared once, the network gives each frame the result that it gives that frame alone."""
     network = str(write_network(tmp_path / f"{scale}.onnx", "global_max", scale))
-    frames = run_on_clip(trial, network).vertices
+    frames = run_on(trial, network).vertices
     assert frames.shape == trial.truth_frames.shape
     for t in (0, 3):
-        alone = run_on_pair(trial.frame(t), network).vertices
+        alone = run_on(trial.frame(t), network).vertices
         assert np.allclose(resized(frames[t], alone), resized(alone, alone), atol=1e-4)
     assert not np.allclose(resized(frames[0], alone), resized(alone, alone), atol=1e-2)
-    figures = measure_clip(trial, network)
+    figures = measure(trial, network)
     assert figures["still_mm"] == pytest.approx(0, abs=1e-3)
     assert figures["path_mm"] > 0
 
@@ -194,7 +192,7 @@ def test_network_without_a_size_gets_that_of_each_true_frame(trial, write, tmp_p
     network = str(write(tmp_path / "sizeless.onnx", target_scale="truth"))
     growing = dataclasses.replace(trial, truth_frames=trial.truth_frames * 2.0 ** np.arange(4)[:, None, None])
     for t, (frame, grown) in enumerate(
-        zip(run_on_clip(trial, network).vertices, run_on_clip(growing, network).vertices, strict=True)
+        zip(run_on(trial, network).vertices, run_on(growing, network).vertices, strict=True)
     ):
         sizes = [radius(points - bbox_centre(points)) for points in (frame, grown)]
         assert sizes[1] / sizes[0] == pytest.approx(2.0**t, rel=1e-9)
@@ -202,12 +200,12 @@ def test_network_without_a_size_gets_that_of_each_true_frame(trial, write, tmp_p
 
 @matrix("method", ["copy", "deformation-transfer-dense"], quick=["copy"])
 def test_methods_without_training_are_measured_on_clips(trial, method):
-    figures = measure_clip(shortened(trial, 2), method)
+    figures = measure(shortened(trial, 2), method)
     assert 0 < figures["pmd_e4"] < 100
     assert figures["still_mm"] == pytest.approx(0, abs=1e-3)
     assert figures["jitter"] is None  # of two frames
     point_cloud = dataclasses.replace(trial, driving=dataclasses.replace(trial.driving, faces=trial.driving.faces[:0]))
-    assert "found points" in measure_clip(point_cloud, "deformation-transfer-13")["why"]
+    assert "found points" in measure(point_cloud, "deformation-transfer-13")["why"]
 
 
 @pytest.mark.slow
@@ -218,9 +216,9 @@ def test_evaluation_of_clips_has_clip_metrics_and_is_continued(tmp_path, monkeyp
         measured.append(trial.truth_name)
         if len(measured) == 3:
             raise KeyboardInterrupt
-        return measure_clip(shortened(trial, 3), method, **options)
+        return measure(shortened(trial, 3), method, **options)
 
-    monkeypatch.setattr("mimesh.evaluate.run.measure_clip", counted)
+    monkeypatch.setattr("mimesh.evaluate.run.measure", counted)
     monkeypatch.setattr("mimesh.evaluate.run.commit", lambda: "abc")
     with pytest.raises(KeyboardInterrupt):
         evaluate_command("clips-aniformer", ["copy"], out, pairs=1)
@@ -263,9 +261,9 @@ def test_pairs_that_are_refused_are_failures_and_the_measurement_goes_on(error, 
     def run_or_refuse(pair, method, **options):
         if np.array_equal(pair.driving.vertices, refused.driving.vertices):
             raise error(message)
-        return run_on_pair(pair, method, **options)
+        return run_on(pair, method, **options)
 
-    monkeypatch.setattr("mimesh.evaluate.measure.run_on_pair", run_or_refuse)
+    monkeypatch.setattr("mimesh.evaluate.measure.run_on", run_or_refuse)
     report = evaluate_command("human-npt", ["copy"], tmp_path / "figures.json", "val", pairs=3)
     seen = next(row for row in report["results"] if row["split"] == "seen")
     assert (seen["pairs"], seen["failures"], seen["failed"]) == (2, 1, message)
@@ -281,7 +279,7 @@ def test_a_set_of_which_every_pair_is_refused_is_reported(monkeypatch):
     def refuse(pair, method, **options):
         raise RefusedMeshError("x: expected a person, found a chair; give another")
 
-    monkeypatch.setattr("mimesh.evaluate.measure.run_on_pair", refuse)
+    monkeypatch.setattr("mimesh.evaluate.measure.run_on", refuse)
     report = evaluate_command("human-npt", ["copy"], split="val", pairs=1)
     assert {(row["pairs"], row["failures"], len(row["each"]["failed"])) for row in report["results"]} == {(0, 1, 1)}
     assert "Failed: `copy`, 1 of 1 pairs of seen, 1 of 1 pairs of unseen (x: expected" in markdown(report)

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from write_results import warnings_count
 
-from mimesh.evaluate.markdown import markdown
+from mimesh.evaluate.markdown import half_interval, markdown, summary, win_share
 from mimesh.evaluate.protocols import QUADRUPED
 from mimesh.evaluate.run import evaluate_command, report_text
-from mimesh.evaluate.summary import half_interval, summary, win_share
 
 
 def figures(pmd, pair="", identity="a", driving="b", **more):

@@ -10,8 +10,7 @@ from mimesh.bodies import load_body
 from mimesh.bodies.sampling import rotvec_to_rotmat
 from mimesh.core.errors import InputError
 from mimesh.evaluate.character_folder import read_character_folder
-from mimesh.learn.data.characters import LEVELS, TrainingCharacters
-from mimesh.learn.data.clips import LEAST_TURN, TrainingClips, distinct_poses, possible
+from mimesh.learn.data.characters import LEAST_TURN, LEVELS, TrainingCharacters, TrainingClips, distinct_poses, possible
 from mimesh.motions import load_motion
 from mimesh.motions.procedural import walk_motion
 

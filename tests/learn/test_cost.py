@@ -7,10 +7,10 @@ import torch
 from trainings import TINY
 
 from mimesh.learn import checkpoint
-from mimesh.learn.cost import activation_bytes, described_cost, operations_spent, training_operations
-from mimesh.learn.loop import TrainingRun
+from mimesh.learn.loop import TrainingRun, activation_bytes, described_cost
 from mimesh.learn.npt import NPTConfig, NPTTask
 from mimesh.learn.start import begin_with
+from mimesh.learn.task import training_operations
 
 
 def kept(vertices, precision="fp32", **changes):
@@ -55,7 +55,7 @@ def test_operations_add_up_over_changes_and_earlier_trainings(tmp_path):
     assert state.operations == pytest.approx(3 * first)
     assert state.changes[-1]["was"]["data.vertices"] == 64
     follower = dataclasses.replace(state, before=({"pairs": 4, "seconds_trained": 1, "operations": 7.0},))
-    assert operations_spent(follower) == pytest.approx(3 * first + 7.0)
+    assert follower.operations_spent() == pytest.approx(3 * first + 7.0)
 
 
 @pytest.mark.slow
@@ -69,7 +69,7 @@ def test_a_training_from_an_older_checkpoint_counts_with_the_configuration_of_th
     state = spend(dense, tmp_path / "new")
     task = NPTTask(old, torch.device("cpu"))
     first = training_operations(task, task.make_model(), 4)
-    assert operations_spent(state) == pytest.approx(3 * first)
+    assert state.operations_spent() == pytest.approx(3 * first)
 
 
 @pytest.mark.slow

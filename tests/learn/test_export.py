@@ -14,9 +14,9 @@ from networks import infer_onnx
 import mimesh
 from mimesh.core.errors import InputError
 from mimesh.learn.config import load_config, recorded_config
-from mimesh.learn.cost import operations_of
 from mimesh.learn.export import SMALLEST, export_command
 from mimesh.learn.mime import POINTS
+from mimesh.learn.models import operations_of
 from mimesh.methods.onnx_runtime import import_onnxruntime
 
 ZOO = Path(mimesh.__file__).parent / "methods" / "zoo"

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from contextlib import nullcontext
 
 import pytest
 import torch
@@ -16,9 +17,8 @@ from mimesh.learn.data.bodies import posed_joints, skinned
 from mimesh.learn.data.characters import TrainingCharacters
 from mimesh.learn.data.figures import FigureSampler
 from mimesh.learn.data.surfaces import repeat_visible
-from mimesh.learn.data.user_data import read_user_data
 from mimesh.learn.mime import MimeData, SurfaceSource, mime_loss
-from mimesh.learn.start import new_config, no_bar, train_command
+from mimesh.learn.start import new_config, read_user_data, train_command
 from mimesh.learn.task import shipped_body
 from mimesh.motions.procedural import walk_motion
 
@@ -181,7 +181,7 @@ def test_a_pack_is_left_out_by_one_option(pool, tmp_path, monkeypatch):
     config, out = new_config("mime", "small", None, TINY[1:], TrainingFiles(pool, leave_out=["toys"]))
     assert out.name.endswith("-without-toys")
     assert (config.data.characters, config.data.leave_out) == (0.5, ("toys",))
-    found = read_user_data(config, TrainingFiles(pool), no_bar)
+    found = read_user_data(config, TrainingFiles(pool), lambda _: nullcontext())
     assert found.facts["left_out"] == {"toys": 1}
     with pytest.raises(InputError, match=r"--leave-out toys: expected it with --characters"):
         train_command(

@@ -11,7 +11,7 @@ def found(folder, names, pattern=""):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).touch()
     layout = find_layout(folder, pattern)
-    return layout, {(entry.person, entry.pose): entry.path.relative_to(folder).as_posix() for entry in layout.entries}
+    return layout, {who: path.relative_to(folder).as_posix() for who, path in layout.entries.items()}
 
 
 def test_public_data_of_npt(tmp_path):

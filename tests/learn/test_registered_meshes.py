@@ -148,8 +148,8 @@ def test_not_every_person_needs_every_pose(files, tmp_path):
     """Person 0 alone has pose 0; person 2 has pose 1 only, which is its own identity."""
     write_meshes(tmp_path, 3, 3, leave_out=[(1, 0), (2, 0), (2, 2)])
     meshes = read(tmp_path)
-    assert meshes.split.seen is None  # nothing can be held out of so few
-    assert meshes.split.training.truths.tolist() == [[0, 1], [0, 2], [1, 1], [1, 2], [2, 1]]
+    assert "seen" not in meshes.pairs  # nothing can be held out of so few
+    assert meshes.pairs["training"].truths.tolist() == [[0, 1], [0, 2], [1, 1], [1, 2], [2, 1]]
     assert "validated on `val` of the shipped body" in meshes.described()
     source = MeshPairSource(ALL, meshes, CPU, 0)
     batch = source.batch(300, 0)
@@ -350,7 +350,7 @@ def test_so_many_people_and_poses_are_held_out(folder, files, people, poses, hel
     meshes = read(folder, held_out_people=people, held_out_poses=poses)
     new, new_poses = (names.split() for names in held_out)
     assert meshes.facts["held_out"] == {"people": new, "poses": new_poses}
-    drawn = meshes.split.training.truths.tolist()
+    drawn = meshes.pairs["training"].truths.tolist()
     assert len(drawn) == (4 - len(new)) * (5 - len(new_poses))
     assert not [pair for pair in drawn if str(pair[0]) in new or str(pair[1]) in new_poses]
     held = HeldOutMeshes.of(meshes)

@@ -127,7 +127,7 @@ def test_a_validation_that_is_broken_off_changes_nothing(tmp_path):
     answers = iter([False, False, True])
     assert run.validate(Validation(run.task), tmp_path, lambda: next(answers)) is None
     assert next(answers, None) is None
-    assert run.metrics is None
+    assert not run.metrics
     assert run.model.training
     assert all(torch.equal(before[name], value) for name, value in run.model.state_dict().items())
     assert not (tmp_path / "best.safetensors").exists()

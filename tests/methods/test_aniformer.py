@@ -7,8 +7,8 @@ import pytest
 from networks import write_sequence_network
 from people import person, walk
 
-from mimesh.methods.aniformer import OVERLAP, AniFormerMethod, blended, middles, windows
 from mimesh.methods.find import find_model
+from mimesh.methods.npt import OVERLAP, AniFormerMethod, blended, middles, windows
 from mimesh.pipeline import animate
 
 HEADS = ["frames", "regression"]

@@ -14,9 +14,9 @@ from people import person, walk
 import mimesh
 from mimesh.core.mesh import Clip, Mesh, permute_vertices
 from mimesh.core.normalization import ORIENTATIONS, ROTATIONS
-from mimesh.methods.aniformer import OVERLAP
 from mimesh.methods.base import Method
 from mimesh.methods.find import find_model
+from mimesh.methods.npt import OVERLAP
 from mimesh.pipeline import animate, transfer
 
 IDENTITY = person(0)

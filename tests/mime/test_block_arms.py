@@ -5,7 +5,7 @@ import pytest
 
 from mimesh.bodies import load_body
 from mimesh.core.rig import Rig, descendants
-from mimesh.mime.block_arms import with_block_arms
+from mimesh.mime.misread import with_block_arms
 
 BODY = load_body()
 NAMES = tuple(BODY.joint_names)

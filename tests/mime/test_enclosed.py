@@ -7,7 +7,7 @@ import pytest
 from people import person
 
 from mimesh import rig
-from mimesh.mime.enclosed import share_enclosed
+from mimesh.mime.misread import share_enclosed
 
 
 def sphere(side: float = 1.0) -> tuple[np.ndarray, np.ndarray]:

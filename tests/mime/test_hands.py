@@ -17,8 +17,8 @@ from mimesh.core.mesh import Clip, Mesh
 from mimesh.core.normalization import Normalization
 from mimesh.methods.find import find_mime
 from mimesh.methods.onnx_models import load_hand_finder
+from mimesh.mime.body_fit import SurfaceSample
 from mimesh.mime.hands import DIFFERENT_ABOVE, SAME_BELOW, settled_bends
-from mimesh.mime.prediction import NetworkPoints
 from mimesh.pipeline.file_rigs import NO_RIGS
 from mimesh.pipeline.joint_route import joint_route
 from mimesh.pipeline.known import Known
@@ -185,7 +185,7 @@ def test_hands_of_any_number_of_vertices_take_bounded_memory(monkeypatch):
     """The network gets a few queries at a time, which changes no weight but for rounding."""
     finder = load_hand_finder(load_body().joint_names)
     rng = np.random.default_rng(0)
-    points, queries = (NetworkPoints(*rng.normal(0, 0.05, (2, n, 3))) for n in (finder.network.points, 70))
+    points, queries = (SurfaceSample(*rng.normal(0, 0.05, (2, n, 3))) for n in (finder.network.points, 70))
     whole = finder.network._run_in_chunks(points, queries)
     monkeypatch.setattr("mimesh.mime.hands.CHUNK", 30)
     np.testing.assert_allclose(finder.network._run_in_chunks(points, queries).scores, whole.scores, atol=1e-4)

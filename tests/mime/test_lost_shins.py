@@ -9,7 +9,7 @@ from mimesh.bodies.sampling import sample_shape
 from mimesh.core.geometry import face_normals
 from mimesh.core.surface_points import at_barycentric, sample_surface
 from mimesh.mime.body_fit import SurfaceSample, fit_body
-from mimesh.mime.lost_shins import lost_shin
+from mimesh.mime.misread import lost_shin
 
 BODY = load_body()
 LEGS = [f"{side}{bone}" for side in ("Left", "Right") for bone in ("Leg", "Foot")]

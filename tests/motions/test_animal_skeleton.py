@@ -10,10 +10,9 @@ from mimesh.bodies.character_pool import facing_rotation
 from mimesh.core.geometry import angles_between, rotation_between
 from mimesh.io.gltf.character import NO_PERSON
 from mimesh.motions import Motion, load_motion, window
-from mimesh.motions.animal_skeleton import retarget_animal
 from mimesh.motions.bvh import Bvh, load_bvh
 from mimesh.motions.motion import joint_tracks
-from mimesh.motions.on_body import on_body
+from mimesh.motions.on_body import on_body, retarget_animal
 from mimesh.pipeline.gltf_rigs import person_motion
 
 Z_UP = rotation_between(np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, 1.0]))

@@ -22,7 +22,7 @@ from mimesh.core.errors import InputError
 from mimesh.io import load_clip, load_mesh, load_recorded_clip
 from mimesh.motions import load_motion, window
 from mimesh.motions.motion import joint_tracks
-from mimesh.motions.smpl_joints import NAMES, smpl_rig
+from mimesh.motions.smpl_clip import NAMES, smpl_rig
 from mimesh.pipeline.file_rigs import Rigs
 
 START = 4

@@ -53,9 +53,6 @@ def name_animal_joints(rig: SkinnedCharacter, path: object) -> dict[str, int]:
 
     Args:
         path: of the file, for messages.
-
-    Raises:
-        InputError: there are no four legs on one skeleton.
     """
     return _AnimalRig(rig, path).named()
 
@@ -63,16 +60,6 @@ def name_animal_joints(rig: SkinnedCharacter, path: object) -> dict[str, int]:
 def named_tail(rig: SkinnedCharacter) -> list[int]:
     """List the joints whose names say that they are of a tail."""
     return [j for j, name in enumerate(rig.joint_names) if "tail" in name.lower()]
-
-
-@dataclass(frozen=True, eq=False)
-class _Leg:
-    """A leg of an animal."""
-
-    chain: list[int]
-    """Its joints from the top, without helpers."""
-    top: int
-    """Its first joint, which may be a helper."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,16 +122,16 @@ class _AnimalRig:
 
     def named(self) -> dict[str, int]:
         rig, parents = self.rig, self.rig.parents
-        legs = self._legs()
+        legs, tops = self._legs()
         found = {}
         for (side, pair), leg in legs.items():
-            found |= {side + part: joint for part, joint in self._leg_names(leg.chain, LEGS[pair]).items()}
-        hind, front = (self._shared([legs[side, pair].top for side in SIDES]) for pair in ("hind", "front"))
+            found |= {side + part: joint for part, joint in self._leg_names(leg, LEGS[pair]).items()}
+        hind, front = (self._shared([tops[side, pair] for side in SIDES]) for pair in ("hind", "front"))
         found["Hips"] = hind
         start, stop = (
-            float(np.mean([rig.joints[legs[side, pair].chain[0], 2] for side in SIDES])) for pair in ("hind", "front")
+            float(np.mean([rig.joints[legs[side, pair][0], 2] for side in SIDES])) for pair in ("hind", "front")
         )
-        head = self._head({joint for leg in legs.values() for joint in leg.chain}, stop)
+        head = self._head({joint for leg in legs.values() for joint in leg}, stop)
         chain = [] if head is None else ancestors(parents, head)
         trunk = [j for j in ancestors(parents, front) if j != hind and j not in ancestors(parents, hind)]
         above = [j for j in chain if j not in trunk and j not in ancestors(parents, hind)][1:]
@@ -164,11 +151,12 @@ class _AnimalRig:
         picked = [tail[k] for k in np.linspace(0, len(tail), len(places), endpoint=False).astype(int)]
         return found | {TAIL[place]: joint for place, joint in zip(places, picked, strict=True)}
 
-    def _legs(self) -> dict[tuple[str, str], _Leg]:
+    def _legs(self) -> tuple[dict[tuple[str, str], list[int]], dict[tuple[str, str], int]]:
+        """Find the joints of each leg from the top, without helpers, and its first joint, which may be a helper."""
         owners = {key: int(self.influence[feet].sum(axis=0).argmax()) for key, feet in self.feet.items()}
         if len(set(owners.values())) < len(owners):
             raise InputError(f"{self.path}: expected a joint in each of four feet, found one for two; rig the legs")
-        legs = {}
+        legs, tops = {}, {}
         for key, foot in owners.items():
             others = {j for other in owners.values() if other != foot for j in ancestors(self.rig.parents, other)}
             chain = self._chain(foot, others)
@@ -178,12 +166,19 @@ class _AnimalRig:
                 )
             if self.rig.joints[chain[0], 1] < self.low + LOOSE_FOOT * self.height:
                 chain = [*self._leg_above(chain[0], others.union(owners.values(), chain)), *chain]
-            legs[key] = _Leg(self._without_helpers(chain), chain[0])
-        self._check_four([leg.top for leg in legs.values()] + list(owners.values()))
-        return legs
+            tops[key] = chain[0]
+            # Joints at the top that are beside the next one, as seen from the side, are left out.
+            length = max(self.rig.joints[chain[0], 1] - self.low, 1e-9)
+            while len(chain) > 1 and self._apart(*chain[:2]) < SAME_PLACE * length:
+                chain = chain[1:]
+            legs[key] = chain
+        self._check_four([*tops.values(), *owners.values()])
+        return legs, tops
+
+    def _apart(self, first: int, second: int) -> float:
+        return float(np.linalg.norm((self.rig.joints[second] - self.rig.joints[first])[1:]))
 
     def _check_four(self, tops: list[int]) -> None:
-        """Check that the joints below the tops of four legs carry the feet."""
         feet, parents = np.concatenate(list(self.feet.values())), self.rig.parents
         # Sloppy weights of the trunk on feet do not count.
         known = {*descendants(tops, parents), *(joint for top in tops for joint in ancestors(parents, top))}
@@ -215,19 +210,12 @@ class _AnimalRig:
         lowest = min(own, key=lambda j: float(np.linalg.norm(joints[j] - joints[foot])))
         return self._chain(lowest, others)
 
-    def _without_helpers(self, chain: list[int]) -> list[int]:
-        """Leave out joints at the top that are beside the next one, as seen from the side."""
-        joints = self.rig.joints
-        length = max(joints[chain[0], 1] - self.low, 1e-9)
-        while len(chain) > 1 and np.linalg.norm((joints[chain[1]] - joints[chain[0]])[1:]) < SAME_PLACE * length:
-            chain = chain[1:]
-        return chain
-
     def _leg_names(self, chain: list[int], parts: tuple[str, ...]) -> dict[str, int]:
-        """Name the joints of a leg by their places along it."""
         blade = {}
-        if parts == LEGS["front"] and self._has_shoulder_blade(chain):
-            blade, chain = {"Scapula": chain[0]}, chain[1:]
+        if parts == LEGS["front"]:  # it may begin with a shoulder blade: by its name, or as there is one joint too many
+            named = any(word in self.rig.joint_names[chain[0]].lower() for word in SHOULDER_BLADE)
+            if len(chain) > len(parts) or (len(chain) > 1 and named):
+                blade, chain = {"Scapula": chain[0]}, chain[1:]
         points = self.rig.joints[chain]
         points = np.concatenate([points, points[-1:] * [1, 0, 1] + [0, self.low, 0]])
         along = np.cumsum([0.0, *np.linalg.norm(np.diff(points, axis=0), axis=1)])
@@ -245,13 +233,7 @@ class _AnimalRig:
             found[parts[1]] = found.pop(parts[2])
         return blade | found
 
-    def _has_shoulder_blade(self, chain: list[int]) -> bool:
-        """Tell whether a foreleg begins with one: by its name, or because there is one joint too many."""
-        name = self.rig.joint_names[chain[0]].lower()
-        return len(chain) > len(LEGS["front"]) or (len(chain) > 1 and any(word in name for word in SHOULDER_BLADE))
-
     def _shared(self, joints: list[int]) -> int:
-        """Find the joint that two legs hang on."""
         second = ancestors(self.rig.parents, joints[1])
         shared = [j for j in ancestors(self.rig.parents, joints[0]) if j in second]
         if not shared:
@@ -259,7 +241,6 @@ class _AnimalRig:
         return shared[0]
 
     def _carried(self, joint: int) -> Float[np.ndarray, " 3"]:
-        """Return the mean of the vertices that a joint moves, by their weights."""
         weight = self.influence[:, joint]
         return weight @ self.rig.mesh.vertices / max(weight.sum(), 1e-9)
 

@@ -69,11 +69,7 @@ ANIMALS: dict[str, Animal] = {
 
 
 def animal(name: str) -> Mesh:
-    """Build the mesh of an animal that stands as its species does: coloured, in metres, on y = 0, facing +z.
-
-    Raises:
-        InputError: no animal has this name.
-    """
+    """Build the mesh of an animal that stands as its species does: coloured, in metres, on y = 0, facing +z."""
     body = animal_body(name)
     vertices = ANIMALS[name].size * body.posed(np.zeros(0), standing(body, name))
     mesh = body.mesh(vertices - [0, vertices[:, 1].min(), 0])

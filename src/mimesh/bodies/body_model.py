@@ -201,7 +201,6 @@ def landmarks(body: RiggedBody) -> dict[str, int]:
 def _line_coordinates(
     body: RiggedBody, joint: str, direction: Float[np.ndarray, " 3"]
 ) -> tuple[Float[np.ndarray, " V"], Float[np.ndarray, " V"]]:
-    """Compute each vertex's coordinate along a line through a joint, and its distance from the line."""
     offset = body.vertices - body.joints[body.joint(joint)]
     along = offset @ direction
     return along, np.linalg.norm(offset - along[:, None] * direction, axis=1)

@@ -338,26 +338,8 @@ def match_joints(rig: SkinnedCharacter, body: Rig, path: object) -> dict[str, in
     Raises:
         InputError: no joint is an upper arm or a thigh.
     """
-    overlap = carried_overlap(rig, body)
-    found = _match_limbs(overlap, rig, body)
-    if missing := missing_limbs(found):
-        raise InputError(
-            f"{path}: expected joints that carry both arms and both legs, found none for {', '.join(missing)}; "
-            "name the joints, for example LeftUpLeg, LeftArm"
-        )
-    legs, chest = (common_ancestors(found, part, rig.parents) for part in ("UpLeg", "Arm"))
-    if legs or chest:
-        found["Hips"] = _hips(rig, body, {*legs, *chest})
-    if chest:
-        found |= trunk_joints(chest, _head(overlap, rig, body, chest[0]), found.get("Hips", -1), rig.parents)
-    return found
-
-
-def carried_overlap(rig: SkinnedCharacter, body: Rig) -> Float[np.ndarray, "B J"]:
-    """Compare the surface that each of the body's B joints carries with that which each of the rig's J joints does.
-
-    Returns the area of the intersection over that of the union; weights count as shares of a vertex's area.
-    """
+    # Of the surfaces that each of the body's joints and each of the rig's carries, the area of the intersection over
+    # that of the union; weights count as shares of a vertex's area.
     below, body_below = descendant_matrix(rig.parents), descendant_matrix(load_body().parents)
     areas = surface_areas(rig)
     common, theirs, ours = np.zeros((len(body_below), len(below))), np.zeros(len(below)), np.zeros(len(body_below))
@@ -370,7 +352,19 @@ def carried_overlap(rig: SkinnedCharacter, body: Rig) -> Float[np.ndarray, "B J"
         theirs, ours = theirs + (area * carried).sum(axis=0), ours + (area * body_carried).sum(axis=0)
         for b, column in enumerate(body_carried.T):
             common[b] += (area * np.minimum(carried, column[:, None])).sum(axis=0)
-    return common / np.maximum(theirs + ours[:, None] - common, np.finfo(float).tiny)
+    overlap = common / np.maximum(theirs + ours[:, None] - common, np.finfo(float).tiny)
+    found = _match_limbs(overlap, rig, body)
+    if missing := missing_limbs(found):
+        raise InputError(
+            f"{path}: expected joints that carry both arms and both legs, found none for {', '.join(missing)}; "
+            "name the joints, for example LeftUpLeg, LeftArm"
+        )
+    legs, chest = (common_ancestors(found, part, rig.parents) for part in ("UpLeg", "Arm"))
+    if legs or chest:
+        found["Hips"] = _hips(rig, body, {*legs, *chest})
+    if chest:
+        found |= trunk_joints(chest, _head(overlap, rig, body, chest[0]), found.get("Hips", -1), rig.parents)
+    return found
 
 
 def match_chain(score: Float[np.ndarray, "N J"], parents: tuple[int, ...]) -> dict[int, int]:

@@ -198,9 +198,6 @@ def read_character(path: str | Path, body: str = "human") -> PoolCharacter:
 
     Args:
         body: shipped body whose joints it has, a key of CLASSES.
-
-    Raises:
-        InputError: not a file of the format, values that are not finite or out of range, or limbs that are not found.
     """
     path = Path(path)
     arrays = read_arrays(path)
@@ -240,6 +237,10 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
             for name in sorted(names)
             if name in ARRAYS or name == "meta" or CLIP_ARRAY.fullmatch(name)
         }
+
+
+read_clip_arrays = lru_cache(maxsize=32)(read_arrays)
+"""Reads a file of clips, which many characters share."""
 
 
 def check_arrays(arrays: dict[str, np.ndarray], path: Path) -> None:
@@ -327,7 +328,6 @@ def _plain_name(name: object, path: Path) -> str:
 
 
 def _rig(arrays: dict[str, np.ndarray], meta: CharacterMeta, turn: np.ndarray, path: Path) -> SkinnedCharacter:
-    """Make the rig of checked arrays, turned to face +z."""
     mesh = Mesh(arrays["vertices"].astype(np.float64) @ turn.T, arrays["faces"].astype(np.int64), name=meta.file)
     weights = arrays["weights"].astype(np.float64)
     return SkinnedCharacter(
@@ -341,15 +341,8 @@ def _rig(arrays: dict[str, np.ndarray], meta: CharacterMeta, turn: np.ndarray, p
     )
 
 
-@lru_cache(maxsize=32)
-def _clip_arrays(path: Path) -> dict[str, np.ndarray]:
-    """Read a file of clips, which many characters share."""
-    return read_arrays(path)
-
-
 def _clips(path: Path, character: dict[str, np.ndarray]) -> dict[str, CharacterClip]:
-    """Read the clips of a character, whose checked arrays are given."""
-    arrays = _clip_arrays(path)
+    arrays = read_clip_arrays(path)
     count = len(character["parents"])
     rest = local_frames(character["rest_matrices"].astype(np.float64), character["parents"])[:, :3, 3]
     try:

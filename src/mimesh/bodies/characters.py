@@ -124,9 +124,6 @@ def proportioned(
     Every joint scales the vertices weighted to it by `lengths` along its bone and by `girths` across it, and moves its
     descendants along; where bones branch, girth scales all directions. The scaling is linear in the vertices and
     joints, so it is applied to the shape components too.
-
-    Raises:
-        InputError: the body has no bone of a given name.
     """
     direction, branching = bone_directions(body)
     # Projection onto each bone's direction; zero where bones branch.
@@ -154,7 +151,6 @@ def proportioned(
 
 
 def _joint_factors(body: RiggedBody, factors: Mapping[str, float]) -> Float[np.ndarray, " J"]:
-    """Look up the factor of each joint's kind of bone; 1 where none is given."""
     kind = kinds_of_bones(body)
     result = np.ones(len(kind))
     for name, factor in factors.items():
@@ -168,7 +164,6 @@ def _joint_factors(body: RiggedBody, factors: Mapping[str, float]) -> Float[np.n
 
 
 def _parts(role: Role, mesh: Mesh) -> tuple[Part, ...]:
-    """Make the parts of a mesh: one run of faces for the skin and one for each garment."""
     # Faces of a dressed body: its own first, then each garment's in order (`dressed_body`).
     counts = [len(load_garment(name).faces) for name in role.garments]
     ends = np.cumsum([len(mesh.faces) - sum(counts), *counts])

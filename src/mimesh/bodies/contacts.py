@@ -93,10 +93,12 @@ def touching(
         shape: shape coefficients of the person.
         rotvec: the given pose, rotation vectors in radians.
     """
-    candidates = []
+    candidates, strongest = [], body.weights.argmax(axis=1)
     for _ in range(TRIES):
         contact = CONTACTS[kind][rng.integers(len(CONTACTS[kind]))]
-        faces = np.stack([body.faces[rng.choice(_faces_of(body, names))] for names in (contact.first, contact.second)])
+        # Faces whose corners all have their largest weight on one of the joints.
+        parts = (np.isin(strongest, [body.joint(name) for name in names]) for names in (contact.first, contact.second))
+        faces = np.stack([body.faces[rng.choice(np.flatnonzero(on[body.faces].all(axis=1)))] for on in parts])
         pose, distance = _solve_contact(body, shape, rotvec, contact.moving, faces)
         depth = _intersection_depth(body, body.posed(shape, rotvec_to_rotmat(pose)), contact.moving)
         candidates.append((max(distance, MET) + max(depth, DEEP), pose))
@@ -109,12 +111,6 @@ def contact_bank() -> tuple[Float[np.ndarray, "N K"], Float[np.ndarray, "N J 3"]
     """Load the shipped people with self-contacts: shape coefficients, and rotation vectors (radians) of their poses."""
     with np.load(BANK) as data:
         return data["shapes"].astype(np.float64), data["rotvecs"].astype(np.float64)
-
-
-def _faces_of(body: RiggedBody, names: tuple[str, ...]) -> Int[np.ndarray, " N"]:
-    """List the faces whose corners all have their largest weight on one of these joints."""
-    strongest = np.isin(body.weights.argmax(axis=1), [body.joint(name) for name in names])
-    return np.flatnonzero(strongest[body.faces].all(axis=1))
 
 
 def _solve_contact(

@@ -44,7 +44,15 @@ def dressed_body(body: RiggedBody, garments: tuple[str, ...]) -> RiggedBody:
     worn = [load_garment(name) for name in garments]
     if len(set(garments)) < len(garments):
         raise InputError(f"garments: expected each at most once, found {', '.join(garments)}; name each once")
-    _check_fits(body)
+    with _open() as data:
+        joints, count = data["joints"], len(data[f"{GARMENTS[0]}_components"])
+    if body.joints.shape != joints.shape or np.abs(body.joints - joints).max() >= 1e-3:
+        raise InputError(f"{body.name}: expected the shipped human, found another body; dress load_body('human')")
+    if len(body.components) > count:
+        raise InputError(
+            f"{body.name}: expected at most the {count} shape components that garments follow, "
+            f"found {len(body.components)}; leave the others out"
+        )
     count = len(body.components)
     # Faces of each garment are shifted by the number of vertices before it.
     first = np.cumsum([len(part.vertices) for part in (body, *worn)])
@@ -69,20 +77,6 @@ def load_garment(name: str) -> Garment:
             faces=data[f"{name}_faces"].astype(np.int64),
             components=data[f"{name}_components"].astype(np.float64),
             weights=unpacked_weights(data[f"{name}_weight_joints"], data[f"{name}_weights"], len(data["joints"])),
-        )
-
-
-def _check_fits(body: RiggedBody) -> None:
-    """Raise InputError for a body with joints over 1 mm from the shipped human's, or with more components."""
-    with _open() as data:
-        joints, count = data["joints"], len(data[f"{GARMENTS[0]}_components"])
-    same = body.joints.shape == joints.shape and np.abs(body.joints - joints).max() < 1e-3
-    if not same:
-        raise InputError(f"{body.name}: expected the shipped human, found another body; dress load_body('human')")
-    if len(body.components) > count:
-        raise InputError(
-            f"{body.name}: expected at most the {count} shape components that garments follow, "
-            f"found {len(body.components)}; leave the others out"
         )
 
 

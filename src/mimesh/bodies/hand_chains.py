@@ -10,7 +10,6 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 
 import numpy as np
-from jaxtyping import Bool
 
 from ..core.geometry import unit_vectors
 from ..core.rig import descendants
@@ -98,19 +97,15 @@ def _chains(rig: SkinnedCharacter, hand: int) -> list[list[int]]:
     areas, carried = surface_areas(rig), {j: carried_vertices(rig, j) for j in (hand, *below)}
     most = WHOLE_HAND * areas[carried[hand]].sum()
     chains = [[j for j in chain if areas[carried[j]].sum() < most] for chain in chains]
-    chains = [chain for chain in chains if chain and _is_finger(rig, carried[chain[0]], rig.joint_names[chain[0]])]
+    # The surface of a finger goes on beyond it: things in hands are apart.
+    corners = {chain[0]: carried[chain[0]][rig.mesh.faces] for chain in chains if chain}
+    meets = {j: bool((of.any(axis=1) & ~of.all(axis=1)).any()) for j, of in corners.items()}
+    chains = [c for c in chains if c and (meets[c[0]] or "finger" in name_words(rig.joint_names[c[0]])[1])]
     reach = np.linalg.norm(rig.joints - rig.joints[hand], axis=1)
     return [c[1:] if len(c) > 3 and reach[c[0]] < METACARPAL * reach[c[1]] else c for c in chains]
 
 
-def _is_finger(rig: SkinnedCharacter, carried: Bool[np.ndarray, " V"], name: str) -> bool:
-    """Tell whether a chain's surface goes on beyond it, or its name says finger: things in hands are apart."""
-    corners = carried[rig.mesh.faces]
-    return "finger" in name_words(name)[1] or bool((corners.any(axis=1) & ~corners.all(axis=1)).any())
-
-
 def _thumb(rig: SkinnedCharacter, hand: int, chains: list[list[int]]) -> int | None:
-    """Find the chain that is a thumb."""
     if len(chains) == 1:
         return None
     start = rig.joints[[chain[0] for chain in chains]]

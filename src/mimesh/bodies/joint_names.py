@@ -130,7 +130,10 @@ def named_joints(joint_names: tuple[str, ...], parents: tuple[int, ...]) -> dict
     if hips or legs:
         found["Hips"] = hips[0] if hips else legs[0]
     hips = found.get("Hips", -1)
-    chest = _without_neck(common_ancestors(found, "Arm", parents), plain, ancestors(parents, hips))
+    chest = common_ancestors(found, "Arm", parents)
+    # Joints called neck that carry both arms are left out, unless the trunk has no others.
+    if (below := [j for j in chest if "neck" not in plain[j]]) and below[0] not in ancestors(parents, hips):
+        chest = below
     if chest:
         found |= trunk_joints(chest, _head(plain, parents, chest[0]), hips, parents)
     return found
@@ -212,7 +215,13 @@ def named_fingers(joint_names: tuple[str, ...], parents: tuple[int, ...], hands:
         said = NO_PHALANX.intersection(_hand_words(_own_name(joint_names[hand])))
         words = {j: [w for w in _hand_words(_own_name(joint_names[j])) if w not in said] for j in below}
         first = 0 if any(_finger_number(parts) == 0 for parts in words.values()) else 1
-        places = {j: place for j in below if (place := _finger(words[j], first)) is not None}
+        places: dict[int, int] = {}  # in FINGERS
+        for j in below:
+            named = (table[word] for table in (FINGER_WORDS, ORDINALS) for word in words[j] if word in table)
+            number = _finger_number(words[j])
+            place = next(named, None if number is None else number - first)
+            if place is not None and not NO_PHALANX.intersection(words[j]) - (METACARPAL if place == 0 else set()):
+                places[j] = place
         # Numbers of one chain beside fingers with names are those of its joints: all other fingers in one (Synty).
         numbered = [j for j in places if _finger_number(words[j]) is not None]
         chained = all(numbered[0] in ancestors(parents, j) for j in numbered)
@@ -309,7 +318,11 @@ def plain_names(joint_names: tuple[str, ...]) -> list[str]:
             del parts[-1]
     # Remove prefixes, then suffixes, until no word is common to most names.
     for end in (0, -1):
-        while (common := _common(words, end)) is not None:
+        while True:
+            counts = Counter(parts[end] for parts in words if len(parts) > 1 and parts[end] not in SIDES)
+            common, count = counts.most_common(1)[0] if counts else ("", 0)
+            if 2 * count <= len(words):
+                break
             for parts in words:
                 if len(parts) > 1 and parts[end] == common:
                     del parts[end]
@@ -383,22 +396,6 @@ def _finger_number(parts: list[str]) -> int | None:
     return int(digits[0][0]) if digits else None
 
 
-def _finger(parts: list[str], first: int) -> int | None:
-    """Give the place in FINGERS of a joint by the words of its name; None if it is no joint of a finger."""
-    named = next((words[word] for words in (FINGER_WORDS, ORDINALS) for word in parts if word in words), None)
-    number = _finger_number(parts)
-    place = number - first if named is None and number is not None else named
-    other = NO_PHALANX.intersection(parts) - (METACARPAL if place == 0 else set())
-    return None if other else place
-
-
-def _common(words: list[list[str]], end: int) -> str | None:
-    """Find the first (or last) word of more than half of all names, unless it is a side; None if there is none."""
-    counts = Counter(parts[end] for parts in words if len(parts) > 1 and parts[end] not in SIDES)
-    word, count = counts.most_common(1)[0] if counts else ("", 0)
-    return word if 2 * count > len(words) else None
-
-
 def _of_one_skeleton(plain: list[str], joint_names: tuple[str, ...]) -> list[str]:
     """Clear the names that the namespace with the most limbs has, too; of equal ones, that of a control rig is left."""
     spaces = [name.rpartition(":")[0] for name in joint_names]
@@ -413,7 +410,6 @@ def _of_one_skeleton(plain: list[str], joint_names: tuple[str, ...]) -> list[str
 
 
 def _limbs(plain: list[str]) -> dict[str, int]:
-    """Find the limb joints of both sides by their names alone."""
     by_word: dict[tuple[str, str], int] = {}
     for j, name in enumerate(plain):
         if match := _LIMB.fullmatch(name):
@@ -431,7 +427,6 @@ def _limbs(plain: list[str]) -> dict[str, int]:
 
 
 def _hips(plain: list[str]) -> list[int]:
-    """List the joints that are called hips, the likeliest first."""
     return [plain.index(word) for word in (*HIPS, *(f"c{word}" for word in HIPS)) if word in plain]
 
 
@@ -439,12 +434,6 @@ def _below(chain: list[int], top: int) -> list[int]:
     """Select the part of a chain below one of its joints, from the top down; of a chain without it all but the root."""
     stop = chain.index(top) if top in chain else len(chain) - 1
     return chain[:stop][::-1]
-
-
-def _without_neck(chest: list[int], plain: list[str], above_legs: list[int]) -> list[int]:
-    """Leave out joints called neck that carry both arms; they stay where the trunk has no others."""
-    below = [j for j in chest if "neck" not in plain[j]]
-    return chest if not below or below[0] in above_legs else below
 
 
 def _head(plain: list[str], parents: tuple[int, ...], chest: int) -> int | None:

@@ -77,7 +77,12 @@ class JointRanges:
         """
         local, count = self.local(rotation), len(rotation)
         excess = local - np.clip(local, self.low, self.high)
-        derivative = _inverse_left_jacobian(local) @ rotation[self.parents].swapaxes(-1, -2)
+        # d log(exp(t) exp(v)) / dt at t = 0 (Sola et al. 2018, Eq. 146)
+        angle = np.maximum(np.linalg.norm(local, axis=-1), 1e-4)[:, None, None]
+        cross = np.zeros((len(local), 3, 3))
+        cross[:, [2, 0, 1], [1, 2, 0]], cross[:, [1, 2, 0], [2, 0, 1]] = local, -local
+        factor = 1 / angle**2 - (1 + np.cos(angle)) / (2 * angle * np.maximum(np.sin(angle), 1e-6))
+        derivative = (np.eye(3) - cross / 2 + factor * (cross @ cross)) @ rotation[self.parents].swapaxes(-1, -2)
         outside = derivative * (excess != 0)[..., None]  # within the range, nothing holds a joint
         hessian, index = np.zeros((count, 3, count, 3)), np.arange(1, count)
         hessian[index, :, index] = outside.swapaxes(-1, -2) @ outside
@@ -97,12 +102,3 @@ def joint_ranges(name: str) -> JointRanges:
     body = load_body(name)
     low, high = limits_rotvec(body, ranges_of(body)[1])
     return JointRanges(low[1:] - MARGIN, high[1:] + MARGIN, np.array(body.parents[1:]))
-
-
-def _inverse_left_jacobian(vectors: Float[np.ndarray, "B 3"]) -> Float[np.ndarray, "B 3 3"]:
-    """Compute d log(exp(t) exp(v)) / dt at t = 0, for each rotation vector v (Sola et al. 2018, Eq. 146)."""
-    angle = np.maximum(np.linalg.norm(vectors, axis=-1), 1e-4)[:, None, None]
-    cross = np.zeros((len(vectors), 3, 3))
-    cross[:, [2, 0, 1], [1, 2, 0]], cross[:, [1, 2, 0], [2, 0, 1]] = vectors, -vectors
-    factor = 1 / angle**2 - (1 + np.cos(angle)) / (2 * angle * np.maximum(np.sin(angle), 1e-6))
-    return np.eye(3) - cross / 2 + factor * (cross @ cross)

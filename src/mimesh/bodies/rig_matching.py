@@ -204,7 +204,6 @@ class Creature:
 
 
 def _side_of(x: float) -> int:
-    """Tell the side of a place: 1 left, -1 right, 0 in the middle."""
     return (x > BESIDE) - (x < -BESIDE)
 
 
@@ -244,7 +243,13 @@ def match_rigs(identity: Creature, driving: Creature) -> RigMatch:
     pairs: dict[int, int] = {}
     for _ in range(ROUNDS):
         # Chains are assigned one to one, so that the sum of the costs is smallest; one without a match costs UNLIKE.
-        hung = costs + _hanging(mine, theirs, pairs)
+        # Costs change where chains hang on chains that correspond or do not.
+        more = np.zeros((len(mine), len(theirs)))
+        for k, a in enumerate(mine):
+            for n, b in enumerate(theirs):
+                if a.above in pairs and b.above >= 0:
+                    more[k, n] = -HANGING if pairs[a.above] == b.above else HANGING
+        hung = costs + more
         rows, columns = linear_sum_assignment(np.minimum(hung - UNLIKE, 0.0))
         pairs = {u: v for u, v in zip(rows.tolist(), columns.tolist(), strict=True) if hung[u, v] < UNLIKE}
     follows = np.zeros((len(identity.parents), len(driving.parents)))
@@ -297,16 +302,6 @@ def chain_shares(u: Chain, v: Chain) -> Float[np.ndarray, "N M"]:
     return shares / shares.sum(axis=1, keepdims=True)
 
 
-def _hanging(mine: tuple[Chain, ...], theirs: tuple[Chain, ...], pairs: dict[int, int]) -> Float[np.ndarray, "U V"]:
-    """Return what is added to the costs because chains hang on chains that correspond or do not."""
-    more = np.zeros((len(mine), len(theirs)))
-    for k, u in enumerate(mine):
-        for n, v in enumerate(theirs):
-            if u.above in pairs and v.above >= 0:
-                more[k, n] = -HANGING if pairs[u.above] == v.above else HANGING
-    return more
-
-
 FRONT = frozenset({"head", "mouth", "jaw", "nose", "snout", "eye", "eyebrow", "beak", "tongue", "face", "antenna"})
 BACK = frozenset({"tail", "abdomen"})
 """Words of joints in front and at the back of a creature."""
@@ -342,7 +337,6 @@ def named_front(rig: SkinnedCharacter) -> str | None:
 
 
 def _axis(direction: Float[np.ndarray, " 2"]) -> str:
-    """Name the axis nearest to a horizontal direction (x, z)."""
     k = int(np.abs(direction).argmax())
     return ("-" if direction[k] < 0 else "+") + "xz"[k]
 
@@ -384,7 +378,11 @@ def moved_creature(
     parents = _hung(identity, match)
     pairs = [(identity.chains[u], driving.chains[v]) for u, v in match.pairs]
     turn = {joint: chain_turn(u, v) for u, v in pairs for joint in u.joints}
-    motion = _along(motion, driving, ROOTS[root], scale)
+    if (across := ROOTS[root]) is not None:
+        carried = {j: driving.share[descendants([j], driving.parents)].sum() for j in _roots(driving.parents)}
+        main = max(carried, key=lambda j: carried[j])
+        way = (motion.positions[:, main] - driving.rig.joints[main]) * [1, 0, 1]
+        motion = CreatureMotion(motion.linear, motion.positions + (across / scale - 1) * way[:, None])
     linear = np.tile(np.eye(3), (len(motion.linear), count, 1, 1))
     positions = np.tile(rest, (len(motion.linear), 1, 1))
     for joint in parents_first(parents):
@@ -395,8 +393,14 @@ def moved_creature(
             linear[:, joint] = _turned(match, motion, linear, joint, known, turn.get(joint, np.eye(3)))
             other = np.flatnonzero(match.follows[joint] == 1)
             if len(other):
-                start = None if known is None else int(match.follows[known].argmax())
-                shift = scale * _slide(driving, motion, int(other[0]), start)
+                # How far it is from where its parent takes it, in the parent's frame: roots and parts that slide.
+                j, hook = int(other[0]), driving.parents[other[0]]
+                hook = int(match.follows[known].argmax()) if hook < 0 and known is not None else hook
+                at = driving.rig.joints[j] - (driving.rig.joints[hook] if hook >= 0 else 0.0)
+                slid = motion.positions[:, j] - (motion.positions[:, hook] if hook >= 0 else 0.0)
+                if hook >= 0:
+                    slid = (np.linalg.pinv(motion.linear[:, hook]) @ slid[..., None])[..., 0]
+                shift = scale * (slid - at)
         elif above >= 0:
             linear[:, joint] = linear[:, above]
         offset = rest[joint] - (rest[above] if above >= 0 else 0.0) + shift
@@ -439,30 +443,6 @@ def _turned(
     if (match.follows[known] > 0).sum() > 1:
         above = nearest_rotation(above)
     return linear[:, known] @ turn @ np.linalg.pinv(above) @ blended @ turn.T
-
-
-def _slide(driving: Creature, motion: CreatureMotion, joint: int, start: int | None) -> Float[np.ndarray, "T 3"]:
-    """Return how far a joint is from where its parent takes it, in the parent's frame: roots and parts that slide.
-
-    `start` stands for the parent of a joint without one; None: the world.
-    """
-    above = driving.parents[joint]
-    above = start if above < 0 else above
-    rest = driving.rig.joints
-    if above is None:
-        return motion.positions[:, joint] - rest[joint]
-    step = motion.positions[:, joint] - motion.positions[:, above]
-    return (np.linalg.pinv(motion.linear[:, above]) @ step[..., None])[..., 0] - (rest[joint] - rest[above])
-
-
-def _along(motion: CreatureMotion, driving: Creature, across: float | None, scale: float) -> CreatureMotion:
-    """Change the way over the ground of a driving so that `scale` makes it `across` times as long; None: leave it."""
-    if across is None:
-        return motion
-    carried = {j: driving.share[descendants([j], driving.parents)].sum() for j in _roots(driving.parents)}
-    main = max(carried, key=lambda j: carried[j])
-    way = (motion.positions[:, main] - driving.rig.joints[main]) * [1, 0, 1]
-    return CreatureMotion(motion.linear, motion.positions + (across / scale - 1) * way[:, None])
 
 
 def _hung(identity: Creature, match: RigMatch) -> tuple[int, ...]:

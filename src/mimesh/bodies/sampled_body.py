@@ -99,7 +99,6 @@ class SampledBody:
 
     @classmethod
     def _at(cls, body: RiggedBody, face: Int[np.ndarray, " N"], barycentric: Float[np.ndarray, "N 3"]) -> SampledBody:
-        """Take the points with given barycentric coordinates in faces of the body."""
         corners = body.faces[face]
         directions, branching = bone_directions(body)
         return cls(
@@ -307,7 +306,6 @@ def kinds_of_bones(body: RiggedBody) -> Int[np.ndarray, " J"]:
 
 
 def _unit(vectors: Float[np.ndarray, "N 3"]) -> Float[np.ndarray, "N 3"]:
-    """Normalise vectors to length 1; vectors of next to no length stay short."""
     return vectors / np.maximum(np.linalg.norm(vectors, axis=1, keepdims=True), 1e-12)
 
 

@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 
 from ..core.errors import InputError, option
 from ..core.npz_archive import open_archive, read_array, read_array_header
-from ..core.pickled_arrays import read_object_array, read_pickled_arrays
+from ..core.pickled_arrays import array_of, read_pickle
 from ..core.skinning import skin_poses
 from .body_model import RiggedBody
 
@@ -89,9 +89,9 @@ def load_smpl_model(path: str | Path) -> SmplModel:
 
 
 def _read_pickle(path: Path) -> dict[str, np.ndarray]:
-    pickled = read_pickled_arrays(path)
-    _check_names(pickled.entries, path)
-    return {name: pickled.array(name) for name in ARRAYS}
+    entries = read_pickle(path.read_bytes(), path)
+    _check_names(entries if isinstance(entries, dict) else (), path)
+    return {name: array_of(entries[name], name, path) for name in ARRAYS}
 
 
 def _read_npz(path: Path) -> dict[str, np.ndarray]:
@@ -102,12 +102,13 @@ def _read_npz(path: Path) -> dict[str, np.ndarray]:
         for name in ARRAYS:
             with archive.open(f"{name}.npy") as member:
                 is_object = read_array_header(member, objects=True).dtype.hasobject
-                arrays[name] = read_object_array(member.read(), path, name) if is_object else read_array(archive, name)
+                arrays[name] = (
+                    array_of(read_pickle(member.read(), path), name, path) if is_object else read_array(archive, name)
+                )
         return arrays
 
 
 def _check_names(names: Collection[str], path: Path) -> None:
-    """Raise InputError for arrays that are missing."""
     missing = [name for name in ARRAYS if name not in names]
     if missing:
         found = ", ".join(repr(name)[1:-1] for name in list(names)[:12]) or "none"  # names may be anything

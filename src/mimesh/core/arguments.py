@@ -72,7 +72,6 @@ def described(value: object) -> str:
 
 
 def _advice(value: object, allowed: list[str]) -> str:
-    """Say what to do with a value of a wrong kind."""
     if hasattr(value, "panels"):  # results
         return "give its mesh (Result) or clip (ClipResult)"
     if "Clip" in allowed and _is("Mesh")(value):
@@ -169,9 +168,11 @@ def as_faces(values: Any) -> Int[np.ndarray, "F 3"]:
     if array.dtype.kind == "i":
         return array
     # Text files are often read as floats.
-    if array.dtype.kind == "u" or (array.dtype.kind == "f" and _are_whole(array)):
+    finite = array.dtype.kind != "f" or bool(np.isfinite(array).all())
+    if array.dtype.kind == "u" or (array.dtype.kind == "f" and finite and (array == np.floor(array)).all()):
         return array.astype(np.int64)
-    raise InputError(f"{name}: expected whole numbers, found {_kind(array)}; give the indices of vertices, from 0")
+    found = array.dtype if finite else "NaN or infinity"
+    raise InputError(f"{name}: expected whole numbers, found {found}; give the indices of vertices, from 0")
 
 
 def as_frames(values: Any, mesh: str, count: int) -> Float[np.ndarray, "T V 3"]:
@@ -232,18 +233,8 @@ def _as_array(name: str, values: Any) -> np.ndarray:
 
 
 def _as_real(name: str, array: np.ndarray) -> np.ndarray:
-    """Return float32 or float64: other real numbers become float64."""
     if array.dtype.kind == "f" and array.dtype.itemsize in (4, 8):
         return array
     if array.dtype.kind not in "iuf":
         raise InputError(f"{name}: expected real numbers, found {array.dtype}; convert them with astype(float)")
     return array.astype(np.float64)
-
-
-def _are_whole(array: np.ndarray) -> bool:
-    return bool(np.isfinite(array).all() and (array == np.floor(array)).all())
-
-
-def _kind(array: np.ndarray) -> str:
-    """Say of what kind numbers are that are not whole."""
-    return f"{array.dtype}" if array.dtype.kind != "f" or np.isfinite(array).all() else "NaN or infinity"

@@ -95,11 +95,7 @@ else:
 
 
 def allocate_frames(count: int, vertices: int, dtype: type[np.floating] | np.dtype) -> Float[np.ndarray, "T V 3"]:
-    """Allocate an array for `count` frames: in memory, or from LARGE bytes on in a file that is deleted with the array.
-
-    Raises:
-        InputError: the temporary folder has too little space.
-    """
+    """Allocate an array for `count` frames: in memory, or from LARGE bytes on in a file that is deleted with it."""
     shape = (count, vertices, 3)
     if count * vertices * 3 * np.dtype(dtype).itemsize < LARGE:
         return np.empty(shape, dtype)

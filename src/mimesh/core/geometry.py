@@ -195,17 +195,10 @@ def spatial_order(points: Float[np.ndarray, "N 3"]) -> Int[np.ndarray, " N"]:
     """Order points so that near points have near indices: the leaves of a k-d tree split along the longest side."""
     cells = [np.arange(len(points))]
     while any(len(cell) > 1 for cell in cells):
-        cells = [half for cell in cells for half in _halves(points, cell)]
+        axes = [np.ptp(points[cell], axis=0).argmax() for cell in cells]
+        ordered = (c[np.argsort(points[c, axis], kind="stable")] for c, axis in zip(cells, axes, strict=True))
+        cells = [half for cell in ordered for half in (cell[: len(cell) // 2], cell[len(cell) // 2 :]) if len(half)]
     return np.concatenate(cells)
-
-
-def _halves(points, cell):
-    """Split a cell (indices of points) at the median of its longest side; a cell of one point stays."""
-    if len(cell) < 2:
-        return [cell]
-    axis = np.ptp(points[cell], axis=0).argmax()
-    cell = cell[np.argsort(points[cell, axis], kind="stable")]
-    return [cell[: len(cell) // 2], cell[len(cell) // 2 :]]
 
 
 def weld(vertices: Float[np.ndarray, "V 3"]) -> tuple[Float[np.ndarray, "W 3"], Int[np.ndarray, " V"]]:
@@ -224,16 +217,6 @@ def first_of_each(group: Int[np.ndarray, " V"]) -> Int[np.ndarray, " W"]:
     return first
 
 
-def turn_normals(
-    corner_normals: Float[np.ndarray, "F 3 3"],
-    faces: Int[np.ndarray, "F 3"],
-    before: Float[np.ndarray, "V 3"],
-    after: Float[np.ndarray, "V 3"],
-) -> Float[np.ndarray, "F 3 3"]:
-    """Turn corner normals along with a moved surface; for many frames of one mesh call `normal_turner` once."""
-    return normal_turner(corner_normals, faces, before)(after)
-
-
 def normal_turner(
     corner_normals: Float[np.ndarray, "F 3 3"], faces: Int[np.ndarray, "F 3"], before: Float[np.ndarray, "V 3"]
 ) -> Callable[[Float[np.ndarray, "V 3"]], Float[np.ndarray, "F 3 3"]]:
@@ -245,7 +228,9 @@ def normal_turner(
     """
     from scipy.sparse import csr_array
 
-    fans = corner_fans(corner_normals, faces, before)
+    _, position = weld(before)
+    # A key of welded position and rounded normal for each corner: normals of a fan are equal to 1e-4.
+    fans = distinct_rows([position[faces.ravel()], *np.round(corner_normals.reshape(-1, 3) * 1e4).T])[1]
     first = np.unique(fans, return_index=True)[1]
     following = first - first % 3 + (first % 3 + 1) % 3
     start, end = faces.ravel()[first], faces.ravel()[following]
@@ -271,15 +256,6 @@ def normal_turner(
         return np.where(moved[:, None], turned, rest).reshape(corner_normals.shape)
 
     return turn
-
-
-def corner_fans(
-    corner_normals: Float[np.ndarray, "F 3 3"], faces: Int[np.ndarray, "F 3"], vertices: Float[np.ndarray, "V 3"]
-) -> Int[np.ndarray, " 3*F"]:
-    """Number the smooth fans: corners are in one fan if they have one position and one normal (to 1e-4)."""
-    _, position = weld(vertices)
-    # A key of welded position and rounded normal for each corner.
-    return distinct_rows([position[faces.ravel()], *np.round(corner_normals.reshape(-1, 3) * 1e4).T])[1]
 
 
 def rotate_between(
@@ -378,7 +354,6 @@ def factor(matrix: csr_array) -> SuperLU:
 
 
 def _unit_or_up(vectors: Float[np.ndarray, "*N 3"]) -> Float[np.ndarray, "*N 3"]:
-    """Normalise vectors to length 1; zero vectors become +y."""
     return np.where(vectors.any(axis=-1, keepdims=True), unit_vectors(vectors), [0.0, 1.0, 0.0])
 
 
@@ -422,7 +397,13 @@ def closest_barycentric(
 ) -> Float[np.ndarray, "N 3"]:
     """Compute the barycentric coordinates of the point of triangle i closest to query point i."""
     # It is the projection to the plane if that is inside the triangle, else the closest point of the three edges.
-    inside = _plane_barycentric(points, triangles)
+    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
+    normal = np.cross(b - a, c - a)
+    square = np.maximum((normal * normal).sum(-1), np.finfo(float).tiny)
+    # Signed areas of the sub-triangles over that of the triangle.
+    u = (np.cross(c - b, points - b) * normal).sum(-1) / square
+    v = (np.cross(a - c, points - c) * normal).sum(-1) / square
+    inside = np.stack([u, v, 1 - u - v], axis=1)
     weights, best = inside, np.where((inside >= 0).all(axis=1), -1.0, np.inf)
     for i, j in ((0, 1), (1, 2), (2, 0)):
         start, end = triangles[:, i], triangles[:, j]
@@ -435,14 +416,3 @@ def closest_barycentric(
         closer = distance < best
         weights, best = np.where(closer[:, None], on_edge, weights), np.where(closer, distance, best)
     return weights
-
-
-def _plane_barycentric(points, triangles):
-    """Compute the barycentric coordinates of the projections of points to the planes of triangles."""
-    a, b, c = triangles[:, 0], triangles[:, 1], triangles[:, 2]
-    normal = np.cross(b - a, c - a)
-    square = np.maximum((normal * normal).sum(-1), np.finfo(float).tiny)
-    # Signed areas of the sub-triangles over that of the triangle.
-    u = (np.cross(c - b, points - b) * normal).sum(-1) / square
-    v = (np.cross(a - c, points - c) * normal).sum(-1) / square
-    return np.stack([u, v, 1 - u - v], axis=1)

@@ -40,11 +40,7 @@ class JointCorrections:
 
     @classmethod
     def of(cls, positions: Mapping[str, Any], source: str = "joints", **fields: Any) -> JointCorrections:
-        """Make corrections from any numbers.
-
-        Raises:
-            InputError: a position is not three finite numbers.
-        """
+        """Make corrections from any numbers."""
         return cls({name: _position(name, value, source) for name, value in positions.items()}, source=source, **fields)
 
     @classmethod
@@ -100,7 +96,6 @@ class JointCorrections:
 
 
 def _position(name: str, value: Any, source: str) -> Float[np.ndarray, " 3"]:
-    """Convert to a position of three finite numbers."""
     try:
         position = np.asarray(value, np.float64)
     except (TypeError, ValueError, OverflowError):

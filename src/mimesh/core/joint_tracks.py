@@ -53,7 +53,6 @@ def root_path(track: JointTrack, across: float, up: float, in_place: bool) -> Fl
 
 
 def _blur(array: Float[np.ndarray, "T *C"], frames: float) -> Float[np.ndarray, "T *C"]:
-    """Filter along time with a Gaussian of this standard deviation (frames)."""
     from scipy.ndimage import gaussian_filter1d
 
     return gaussian_filter1d(array, frames, axis=0, mode="nearest")

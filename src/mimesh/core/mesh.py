@@ -19,7 +19,7 @@ from .arguments import as_faces, as_floats, as_frames, as_vertices, check_kind
 from .budgets import FACES, VERTICES, check_clip_size
 from .errors import InputError, damaged, option
 from .frame_buffer import Frames, PosedFrames, Progress, each_frame, store_frames
-from .geometry import face_areas, first_of_each, turn_normals
+from .geometry import face_areas, first_of_each, normal_turner
 from .person_motion import JointSource
 
 UNNAMED = "mesh"
@@ -147,7 +147,7 @@ class Mesh:
             )
         normals = self.corner_normals
         if normals is not None:
-            normals = turn_normals(normals, self.faces, self.vertices, vertices)
+            normals = normal_turner(normals, self.faces, self.vertices)(vertices)
         return dataclasses.replace(self, vertices=vertices, corner_normals=normals)
 
 
@@ -274,7 +274,6 @@ def check_numbers(mesh: Mesh, path: str | Path) -> None:
 
 
 def _check_corners(values: Float[np.ndarray, "F 3 _"] | None, kind: str, path: str | Path) -> None:
-    """Raise InputError for values of face corners that are not finite or too large."""
     if values is None:
         return
     bad = np.flatnonzero(~(np.abs(values) <= LARGEST).all(axis=(1, 2)))
@@ -360,11 +359,7 @@ def check_cut(name: str, count: int, frames: slice) -> None:
 
 
 def cut_clip(clip: Clip, start: int, stop: int | None, step: int) -> Clip:
-    """Select every `step`-th frame in start <= t < stop; the frame rate becomes fps / step, so the speed is unchanged.
-
-    Raises:
-        InputError: no frame is left, or the step is not positive.
-    """
+    """Select every `step`-th frame in start <= t < stop; the frame rate becomes fps / step: the speed is unchanged."""
     check_cut(clip.mesh.name, len(clip), slice(start, stop, step))
     vertices = clip.vertices[start:stop:step]
     check_mesh(dataclasses.replace(clip.mesh, vertices=vertices[0].astype(np.float64)), clip.mesh.name)

@@ -253,12 +253,6 @@ def clear_up(mesh: Mesh) -> str | None:
     return likeliest if totals[likeliest] >= CONTRARY else None
 
 
-def up_margin(mesh: Mesh, up: str) -> float:
-    """Return the probability of an axis away from the ground, minus that of the likeliest other one."""
-    totals = _up_probabilities(mesh)
-    return totals[up] - max(total for axis, total in totals.items() if axis != up)
-
-
 def _up_probabilities(mesh: Mesh) -> dict[str, float]:
     """Return the probability of each axis away from the ground, whatever the front is."""
     scores = orientation_scores(mesh_occupancy(mesh), detector())
@@ -354,7 +348,13 @@ def without_heading(mesh: Mesh, norm: Normalization, front_known: bool, person: 
     headings = (headings + np.pi) % (2 * np.pi) - np.pi
     if not person:
         return _turned(upright, norm, norm.rotation, min(headings[::2], key=abs))
-    scores = _front_scores(upright, principal)
+    scores = np.empty(8)
+    fronts = [ORIENTATIONS.index(("+y", axis)) for axis in QUARTERS]
+    for k in range(2):
+        aligned = _at(upright, turned(upright.vertices, -principal - k * np.pi / 4))
+        scores[k::2] = orientation_scores(mesh_occupancy(aligned), detector())[fronts]
+    # Rounded, so that the rounding of a sum cannot decide between the equal fronts of a symmetric shape.
+    scores = np.round(scores, 6)
     if front_known:
         best = int(np.where(np.abs(headings) <= WITHIN, scores, -np.inf).argmax())
         return _turned(upright, norm, norm.rotation, headings[best])
@@ -364,7 +364,9 @@ def without_heading(mesh: Mesh, norm: Normalization, front_known: bool, person: 
     # Margin over the fronts at right angles to the best one, as for a mesh that stands along the axes.
     probability = np.exp(scores[best % 2 :: 2] - scores[best])
     margin = float((1 - np.sort(probability)[-2]) / probability.sum())
-    margin = margin if norm.up_from != "shape" else min(margin, up_margin(mesh, norm.up))
+    if norm.up_from == "shape":
+        totals = _up_probabilities(mesh)
+        margin = min(margin, totals[norm.up] - max(total for axis, total in totals.items() if axis != norm.up))
     detected = replace(norm, front=axis_name(rotation.T @ np.array([0.0, 0.0, 1.0])), margin=margin)
     upright = _at(mesh, rotate_axes(np.asarray(mesh.vertices, np.float64), rotation))
     return _turned(upright, detected, rotation, headings[best] - quarter * np.pi / 2)
@@ -414,17 +416,6 @@ def principal_heading(upright: Mesh) -> float | None:
     if np.hypot(zz - xx, 2 * xz) <= ROUND * (xx + zz):
         return None
     return float(np.round(np.arctan2(2 * xz, zz - xx) / 2, DIGITS) % np.pi)
-
-
-def _front_scores(upright: Mesh, principal: float) -> Float[np.ndarray, "8"]:
-    """Score the fronts at `principal` + k * 45 degrees by the detector of the orientation."""
-    scores = np.empty(8)
-    fronts = [ORIENTATIONS.index(("+y", axis)) for axis in QUARTERS]
-    for k in range(2):
-        aligned = _at(upright, turned(upright.vertices, -principal - k * np.pi / 4))
-        scores[k::2] = orientation_scores(mesh_occupancy(aligned), detector())[fronts]
-    # Rounded, so that the rounding of a sum cannot decide between the equal fronts of a symmetric shape.
-    return np.round(scores, 6)
 
 
 def _at(mesh: Mesh, vertices: Float[np.ndarray, "V 3"]) -> Mesh:

@@ -54,11 +54,7 @@ class JointSource(Protocol):
         ...
 
     def person(self) -> PersonMotion:
-        """Read the joints.
-
-        Raises:
-            InputError: they are not those of a person.
-        """
+        """Read the joints."""
         ...
 
 

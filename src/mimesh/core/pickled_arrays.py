@@ -11,10 +11,8 @@ from __future__ import annotations
 import io
 import pickle
 import struct
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -22,21 +20,13 @@ from .errors import InputError
 
 NAMES = {
     "numpy": ("ndarray", "dtype", "matrix", "_reconstruct", "scalar", "_frombuffer"),
-    "scipy.sparse": ("csr_matrix", "csr_array", "csc_matrix", "csc_array", "coo_matrix", "coo_array"),
+    "scipy": ("csr_matrix", "csr_array", "csc_matrix", "csc_array", "coo_matrix", "coo_array"),
     "chumpy": ("Ch", "Select"),
-    "copyreg": ("_reconstructor",),
-    "copy_reg": ("_reconstructor",),
-    "builtins": ("object", "set", "bytes"),
-    "__builtin__": ("object", "set", "bytes"),
+    **dict.fromkeys(("copyreg", "copy_reg"), ("_reconstructor",)),
+    **dict.fromkeys(("builtins", "__builtin__"), ("object", "set", "bytes")),
     "_codecs": ("encode",),
 }
 """Package -> classes and functions that a pickle may name, in whatever module of the package a version has them."""
-TYPES = {f"{kind}{size}" for kind, sizes in {"f": "248", "i": "1248", "u": "1248", "b": "1"}.items() for size in sizes}
-"""Types of arrays that are read, as NumPy names them in a pickle."""
-LARGEST_SPARSE = 1 << 24
-"""Entries, zeros included, up to which a sparse matrix is accepted: joints times vertices, 1.6 million for SMPL+H."""
-LARGEST_KEY = 1 << 60
-"""Numbers below this are keys of dictionaries."""
 DAMAGE = (
     *(pickle.UnpicklingError, ValueError, TypeError, LookupError, AttributeError, EOFError, OverflowError),
     *(RuntimeError, SystemError, MemoryError, struct.error),
@@ -44,189 +34,117 @@ DAMAGE = (
 """What the pickle machine, NumPy and SciPy raise for a damaged pickle."""
 
 
-@dataclass(frozen=True, eq=False)
-class PickledArrays:
-    """A pickled dictionary; its arrays are made when they are asked for."""
-
-    path: Path
-    """File, for errors."""
-    entries: dict[str, object]
-
-    def array(self, name: str) -> np.ndarray:
-        """Make one array; sparse matrices become dense, chumpy's variables the arrays that they hold.
-
-        Raises:
-            InputError: the entry is no array of numbers, or is damaged.
-        """
-        try:
-            array = _array(self.entries[name])
-            if array.dtype.kind not in "fiub":
-                raise ValueError(f"{array.dtype} instead of numbers")
-            return array
-        except DAMAGE as error:
-            raise InputError(
-                f"{self.path}: expected '{name}' to be an array of numbers, found {error!r:.80}; save it as one"
-            ) from error
-
-
-def read_pickled_arrays(path: Path) -> PickledArrays:
-    """Read a pickled dictionary of arrays.
-
-    Raises:
-        InputError: the pickle names anything but NAMES, is damaged, or holds no dictionary.
-    """
-    entries = _load(path.read_bytes(), path)
-    if not isinstance(entries, dict):
-        raise InputError(f"{path}: expected a pickled dictionary of arrays, found something else; check the file")
-    if any(isinstance(key, int) and abs(key) >= LARGEST_KEY for key in entries):  # Python refuses to print long ones
-        raise InputError(f"{path}: expected names of arrays, found a number of many digits; check the file")
-    return PickledArrays(path, {_text(key): value for key, value in entries.items()})
-
-
-def read_object_array(data: bytes, path: Path, name: str) -> np.ndarray:
-    """Read a pickled array of one object, as .npz archives hold sparse matrices; errors name `path` and `name`.
-
-    Raises:
-        InputError: as `read_pickled_arrays`, or the object is no array.
-    """
-    return PickledArrays(path, {name: _load(data, path)}).array(name)
-
-
-def _load(data: bytes, path: Path) -> object:
-    try:
-        return _Unpickler(data, path).load()
-    except InputError:
-        raise
-    except DAMAGE as error:
-        raise InputError(
-            f"{path}: expected a pickle of arrays, found it damaged ({error!r:.80}); copy or download it again"
-        ) from error
-
-
 class _Record:
     """What a pickle makes by a call: the arguments, and the state that the result would get."""
+
+    arguments: tuple
+    state: Any
 
     def __new__(cls, *arguments: Any) -> _Record:
         record = super().__new__(cls)
         record.arguments, record.state = arguments, None
         return record
 
-    arguments: tuple
-    state: Any
-
     def __setstate__(self, state: Any) -> None:
         self.state = state
 
 
 class _Unpickler(pickle._Unpickler):
-    """Python's pickle machine, which makes records.
-
-    It is the one written in Python: that in C makes room for as many objects as a number in the file says.
-    """
-
-    records: ClassVar[dict[str, type]] = {
-        name: type(name, (_Record,), {}) for names in NAMES.values() for name in names if name != "_reconstructor"
-    }
-
-    def __init__(self, data: bytes, path: Path) -> None:
-        # Python 2 has one type for text and bytes: Latin-1 keeps every byte.
-        super().__init__(io.BytesIO(data), encoding="latin1")
-        self._path = path
+    """Python's pickle machine, which makes records. That in C makes room for as many objects as a file claims."""
 
     def find_class(self, module: str, name: str) -> Any:
-        """Find what stands for a name; raise InputError for one that is not allowed."""
-        if not any(f"{module}.".startswith(f"{package}.") and name in names for package, names in NAMES.items()):
-            raise InputError(
-                f"{self._path}: expected a pickle of NumPy, SciPy and chumpy arrays, found {f'{module}.{name}'!r:.100} "
-                "in it, which is not run; open only files whose source you trust, or save the arrays as .npz"
-            )
-        return self.records.get(name, _reconstructor)
-
-    def load_bytearray8(self) -> None:
-        """Read a byte array as bytes: the machine would make room for what the file claims."""
-        (size,) = struct.unpack("<Q", self.read(8))
-        self.append(self.read(size))
-
-    dispatch: ClassVar[dict[int, Callable[..., None]]] = {
-        **pickle._Unpickler.dispatch,
-        pickle.BYTEARRAY8[0]: load_bytearray8,
-    }
-    append: Callable[[object], None]
-    read: Callable[[int], bytes]
+        """Make a class of records for a name that is allowed."""
+        if name not in NAMES.get(module.partition(".")[0], ()):
+            raise pickle.UnpicklingError(f"{module}.{name} in it, which is not run")
+        if name == "_reconstructor":  # makes an empty object of a class
+            return lambda kind, *_: kind()
+        return type(name, (_Record,), {})
 
 
-def _reconstructor(kind: type, *_: object) -> _Record:
-    """Make an empty object of a class, as `copyreg._reconstructor` does."""
-    if not issubclass(kind, _Record):
-        raise TypeError("an object of no class")
-    return kind()
+def read_pickle(data: bytes, path: Path) -> Any:
+    """Read a pickle to plain objects and records; `array_of` makes an array of either. Errors name `path`.
+
+    Raises:
+        InputError: it names anything but NAMES, or is damaged.
+    """
+    try:  # Python 2 has one type for text and bytes: Latin-1 keeps every byte
+        found = _Unpickler(io.BytesIO(data), encoding="latin1").load()
+        if isinstance(found, dict):
+            return {key.decode("latin1") if isinstance(key, bytes) else str(key): found[key] for key in found}
+        return found
+    except DAMAGE as error:
+        raise InputError(
+            f"{path}: expected a pickle of NumPy, SciPy and chumpy arrays, found {str(error)!r:.120}; open only files "
+            "whose source you trust, copy this one again, or save the arrays as .npz"
+        ) from error
+
+
+def array_of(value: Any, name: str, path: Path) -> np.ndarray:
+    """Make the array of an entry of a pickle; sparse matrices become dense, chumpy's variables what they hold.
+
+    Raises:
+        InputError: it is no array of numbers, or is damaged.
+    """
+    try:
+        array = _array(value)
+        if array.dtype.kind not in "fiub":
+            raise ValueError(f"{array.dtype} instead of numbers")
+        return array
+    except DAMAGE as error:
+        raise InputError(
+            f"{path}: expected '{name}' to be an array of numbers, found {error!r:.80}; save it as one"
+        ) from error
 
 
 def _array(value: Any) -> np.ndarray:
-    """Make the array of a record, or of a plain number or list of numbers."""
-    if not isinstance(value, _Record):
-        if isinstance(value, list | tuple) and not all(isinstance(number, int | float) for number in value):
-            raise ValueError("a list of other things than numbers")
-        return np.asarray(value)
-    kind = type(value).__name__
-    if kind == "_reconstruct":  # the state is (version, shape, type, column-major, bytes)
-        shape, dtype, column_major, data = value.state[-4:]
-        name = dtype.arguments[0]
-        if isinstance(name, str) and name.startswith("O"):  # an array of one object is that object
-            (content,) = data
-            return _array(content)
-        return np.frombuffer(_bytes(data), _dtype(dtype)).reshape(shape, order="F" if column_major else "C")
-    if kind == "_frombuffer":
-        data, dtype, shape, order = value.arguments[:4]
-        return np.frombuffer(_bytes(data), _dtype(dtype)).reshape(shape, order=order)
-    if kind == "scalar":
-        dtype, data = value.arguments
-        return np.frombuffer(_bytes(data), _dtype(dtype)).reshape(())
-    if kind == "Ch":
-        return _array(value.state["x"])
-    if kind == "Select":  # entries `idxs` of the flattened array `a`, in another shape
-        index = value.state["idxs"]
-        if type(index).__name__ == "Select":  # of selections of selections a short pickle could ask 2^40 times
-            raise ValueError("a selection by a selection")
-        chosen = _array(value.state["a"]).reshape(-1)[_array(index)]
-        shape = value.state.get("preferred_shape")
-        return chosen if shape is None else chosen.reshape(shape)
-    if kind in NAMES["scipy.sparse"]:
-        return _dense(kind, value.state)
-    raise ValueError(f"{kind}, which is no array")
+    match type(value).__name__, value:
+        case "_reconstruct", _:  # the state is (version, shape, type, column-major, bytes)
+            shape, dtype, column_major, data = value.state[-4:]
+            if dtype.arguments[0] in ("O", "O4", "O8"):  # an array of one object is that object
+                (content,) = data
+                return _array(content)
+            return _numbers(data, dtype).reshape(shape, order="F" if column_major else "C")
+        case "_frombuffer", _:
+            data, dtype, shape, order = value.arguments[:4]
+            return _numbers(data, dtype).reshape(shape, order=order)
+        case "scalar", _:
+            dtype, data = value.arguments
+            return _numbers(data, dtype).reshape(())
+        case "Ch", _:
+            return _array(value.state["x"])
+        case "Select", _:  # entries `idxs` of the flattened array `a`, in another shape
+            chosen = _array(value.state["a"]).reshape(-1)[_array(value.state["idxs"])]
+            shape = value.state.get("preferred_shape")
+            return chosen if shape is None else chosen.reshape(shape)
+        case kind, _Record() if kind in NAMES["scipy"]:
+            from scipy import sparse
+
+            shape = value.state["_shape"] if "_shape" in value.state else value.state["shape"]
+            if kind.startswith("coo"):
+                places = value.state["coords"] if "coords" in value.state else (value.state["row"], value.state["col"])
+                return sparse.coo_matrix(
+                    (_array(value.state["data"]), tuple(map(_array, places))), shape=shape
+                ).toarray()
+            make = sparse.csr_matrix if kind.startswith("csr") else sparse.csc_matrix
+            matrix = make(tuple(_array(value.state[name]) for name in ("data", "indices", "indptr")), shape=shape)
+            matrix.check_format(full_check=True)  # without it a wrong index is written anywhere
+            return matrix.toarray()
+        case _, int() | float():
+            return np.asarray(value)
+        case _, list() | tuple() if all(isinstance(number, int | float) for number in value):
+            return np.asarray(value)
+    raise ValueError(f"{type(value).__name__}, which is no array")
 
 
-def _dense(kind: str, state: dict[str, Any]) -> np.ndarray:
-    """Make the array of a sparse matrix from its attributes."""
-    from scipy import sparse
+def _numbers(data: Any, dtype: _Record) -> np.ndarray:
+    """Make the numbers of bytes, of the type `numpy.dtype(name, ...)`, whose state has the byte order in second place.
 
-    rows, columns = shape = state["_shape"] if "_shape" in state else state["shape"]
-    if not 0 < rows * columns <= LARGEST_SPARSE:
-        raise ValueError(f"a sparse matrix of {rows} x {columns}")
-    data = _array(state["data"])
-    if kind.startswith("coo"):
-        places = state["coords"] if "coords" in state else (state["row"], state["col"])
-        return sparse.coo_matrix((data, tuple(map(_array, places))), shape=shape).toarray()
-    make = sparse.csr_matrix if kind.startswith("csr") else sparse.csc_matrix
-    matrix = make((data, _array(state["indices"]), _array(state["indptr"])), shape=shape)
-    matrix.check_format(full_check=True)  # without it a wrong index is written anywhere
-    return matrix.toarray()
-
-
-def _dtype(record: _Record) -> np.dtype:
-    """Make the type of `numpy.dtype(name, ...)`, whose state has the byte order in second place."""
-    name, order = record.arguments[0], record.state[1] if record.state else "="
-    if not isinstance(name, str) or name not in TYPES or order not in ("<", ">", "=", "|"):
+    Protocols before 3 write bytes as text.
+    """
+    name, order = dtype.arguments[0], dtype.state[1] if dtype.state else "="
+    if not (isinstance(name, str) and name.isalnum() and order in ("<", ">", "=", "|")):
         raise ValueError("an array of another type than numbers")
-    return np.dtype(name).newbyteorder(order)
-
-
-def _bytes(value: Any) -> bytes:
-    """Return the bytes of an array, which protocols before 3 write as text."""
-    if type(value).__name__ == "encode" and value.arguments[1] == "latin1":
-        value = value.arguments[0]
-    return value.encode("latin1") if isinstance(value, str) else bytes(memoryview(value))
-
-
-def _text(key: object) -> str:
-    return key.decode("latin1") if isinstance(key, bytes) else str(key)
+    if type(data).__name__ == "encode":
+        data = data.arguments[0]
+    data = data.encode("latin1") if isinstance(data, str) else bytes(memoryview(data))
+    return np.frombuffer(data, np.dtype(f"{order}{name}"))

@@ -113,17 +113,14 @@ class PaddedVertices:
 
     ranked: CanonicalOrder
     """Welded vertices."""
-    corners: Int[np.ndarray, "N 3"]
-    """Vertex indices of the triangle that contains each added point (point clouds: one vertex three times)."""
-    barycentric: Float[np.ndarray, "N 3"]
-    """Weights of the corners, rows sum to 1."""
+    added: SurfacePoints
 
     def __len__(self) -> int:
-        return len(self.ranked) + len(self.corners)
+        return len(self.ranked) + len(self.added.corners)
 
     def at(self, vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "P 3"]:
         """Compute positions in a frame: the welded vertices by rank, then the added points."""
-        return np.concatenate([self.ranked.merge(vertices), interpolate(vertices, self.corners, self.barycentric)])
+        return np.concatenate([self.ranked.merge(vertices), self.added.points(vertices)])
 
 
 def padded_vertices(mesh: Mesh, count: int, rng: np.random.Generator) -> PaddedVertices:
@@ -136,7 +133,7 @@ def padded_vertices(mesh: Mesh, count: int, rng: np.random.Generator) -> PaddedV
     if len(mesh.faces) == 0:
         first_of_rank = ranked.order[ranked.start]
         corners = np.repeat(first_of_rank[rng.integers(len(ranked), size=missing)][:, None], 3, axis=1)
-        return PaddedVertices(ranked, corners, np.tile([1.0, 0.0, 0.0], (missing, 1)))
+        return PaddedVertices(ranked, SurfacePoints(corners, np.tile([1.0, 0.0, 0.0], (missing, 1))))
     faces = mesh.faces[rank_order(face_centroids(mesh.vertices, mesh.faces))]
     chosen, barycentric = sample_surface(mesh.vertices, faces, missing, rng)
-    return PaddedVertices(ranked, faces[chosen], barycentric)
+    return PaddedVertices(ranked, SurfacePoints(faces[chosen], barycentric))

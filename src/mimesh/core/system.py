@@ -125,7 +125,6 @@ def _limit(key: str, value: int, hard_too: bool) -> None:
 
 
 def _resource() -> Any:
-    """Return the module of limits; None on Windows."""
     try:
         import resource
     except ImportError:

@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Iterable
 from pathlib import Path
 
-from ..bodies.character_pool import Pool, PoolCharacter, read_pool
+from ..bodies.character_pool import Pool, read_pool
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress, counted
 from ..io.formats import JOINTED
@@ -56,14 +55,8 @@ def read_character_folder(
         except DAMAGED as error:
             plain = str(error) if isinstance(error, InputError) else f"expected a sound file, found {error!r:.80}"
             refused[name] = plain.removeprefix(f"{path}: ").removeprefix(f"{path.stem}: ")
-    return Pool(tuple(without_repeated_clips(characters)), refused)
-
-
-def without_repeated_clips(characters: Iterable[PoolCharacter]) -> list[PoolCharacter]:
-    """Keep clips of one name, length and skeleton in a pack once: makers export them with each character.
-
-    Clips of a pool are kept: they say which file they are from.
-    """
+    # Makers export clips of one name, length and skeleton with each character of a pack: they are kept once. Clips of a
+    # pool are kept: they say which file they are from.
     seen: set[object] = set()
     kept = []
     for character in characters:
@@ -75,7 +68,7 @@ def without_repeated_clips(characters: Iterable[PoolCharacter]) -> list[PoolChar
             clips = {name: clip for name, clip in clips.items() if keys[name] not in seen}
             seen.update(keys.values())
         kept.append(dataclasses.replace(character, clips=clips))
-    return kept
+    return Pool(tuple(kept), refused)
 
 
 def pack_of(path: Path, folder: Path) -> str:

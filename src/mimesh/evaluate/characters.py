@@ -132,7 +132,7 @@ class Characters(Wide):
             choices = _across(self.data, split)
             identities, others = choices[i % len(choices)]
             identity = identities[rng.integers(len(identities))]
-            partners = [other for other in others if other.rig.skeleton != identity.rig.skeleton]
+            partners = [c for c in others if c.rig.skeleton != identity.rig.skeleton]
         else:
             choices = _within(self.data, split)
             identities = choices[i % len(choices)]
@@ -171,7 +171,6 @@ def _read_pool(data: Path, split: str) -> Pool:
 
 
 def _packs(data: Path, split: str) -> dict[str, list[PoolCharacter]]:
-    """Group the characters of a split by pack, sorted by name."""
     packs: dict[str, list[PoolCharacter]] = {}
     for character in sorted(_read_pool(data, split).characters, key=lambda c: (c.meta.pack, c.meta.file)):
         packs.setdefault(character.meta.pack, []).append(character)
@@ -330,7 +329,19 @@ def find_character_landmarks(character: PoolCharacter) -> Int[np.ndarray, "M"]:
     """Find the vertices of a character at the landmarks of the shipped body; -1 where it has no vertex there."""
     rig, points = character.rig, place_body_joints(character)
     t_pose = pose_character(character, np.tile(np.eye(3), (len(human().parents), 1, 1)))
-    wrapped = as_body(rig, t_pose, character.joints, points)
+    # In the shipped body's T-pose and at its height, with its joints, so that `landmarks` works on it.
+    body = human()
+    scale = np.ptp(body.vertices[:, 1]) / np.ptp(rig.mesh.vertices[:, 1])
+    joints = body.joints.copy()
+    for own, (j, point) in points.items():
+        joints[body.joint(own)] = scale * (t_pose[j] @ [*point, 1.0])[:3]
+    # Influences of the fixed world count as the root joint.
+    columns = rig.nearest_columns({j: body.joint(own) for own, j in character.joints.items()}, other=0)
+    weights = rig.summed_weights(columns, len(body.parents))
+    vertices = scale * rig.skinned(t_pose)
+    no_shapes, no_joint_shapes = np.zeros((0, len(vertices), 3)), np.zeros((0, len(joints), 3))
+    faces, names = rig.mesh.faces, body.joint_names
+    wrapped = RiggedBody("", vertices, faces, no_shapes, joints, no_joint_shapes, weights, names, body.parents)
     found = np.array(list(landmarks(wrapped).values()))
     for k, name in enumerate(LANDMARKS):
         if name in EXTREMES:
@@ -357,33 +368,3 @@ def place_body_joints(character: PoolCharacter) -> dict[str, tuple[int, Float[np
             points.setdefault(side + end, (last.joint, last.end))
         points.setdefault(f"{side}ToeBase", points[f"{side}Foot"])
     return points
-
-
-def as_body(
-    rig: SkinnedCharacter,
-    t_pose: Float[np.ndarray, "K 4 4"],
-    index: dict[str, int],
-    points: dict[str, tuple[int, Float[np.ndarray, " 3"]]],
-) -> RiggedBody:
-    """Wrap a rig in the shipped body's T-pose and at its height as a RiggedBody with the body's joints.
-
-    Functions of the shipped body such as `landmarks` work on it. Each vertex is weighted to the nearest named joint
-    above its own joint.
-
-    Args:
-        t_pose: transforms of the rig's joints from rest to the T-pose.
-        index: the rig's joint of each joint of the body that it has.
-        points: place of each joint of the body: a joint of the rig, and the point at rest that it carries.
-    """
-    body = human()
-    scale = np.ptp(body.vertices[:, 1]) / np.ptp(rig.mesh.vertices[:, 1])
-    joints = body.joints.copy()
-    for joint, (j, point) in points.items():
-        joints[body.joint(joint)] = scale * (t_pose[j] @ [*point, 1.0])[:3]
-    # Influences of the fixed world count as the root joint.
-    columns = rig.nearest_columns({j: body.joint(joint) for joint, j in index.items()}, other=0)
-    weights = rig.summed_weights(columns, len(body.parents))
-    vertices = scale * rig.skinned(t_pose)
-    no_shapes, no_joint_shapes = np.zeros((0, len(vertices), 3)), np.zeros((0, len(joints), 3))
-    faces, names = rig.mesh.faces, body.joint_names
-    return RiggedBody("", vertices, faces, no_shapes, joints, no_joint_shapes, weights, names, body.parents)

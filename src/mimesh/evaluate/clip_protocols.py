@@ -216,7 +216,6 @@ def split_into_seconds(take: Motion, step: int = FRAMES) -> list[Motion]:
 
 
 def _cut(motion: Motion, start: int, name: str) -> Motion:
-    """Cut the 30 frames from `start` on out of a motion."""
     frames = slice(start, start + FRAMES)
     rotmat, root = motion.rotmat[frames], motion.root[frames]
     return _begin_at_origin(dataclasses.replace(motion, name=name, rotmat=rotmat, root=root))

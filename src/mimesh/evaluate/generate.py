@@ -19,7 +19,6 @@ from ..core.mesh import Clip, Mesh
 from ..io import save_clip, save_mesh
 from .clip_protocols import ClipPair
 from .listed_pairs import SUFFIX, ListedPairs, write_list
-from .pairs import Pair
 from .protocols import HUMAN_NPT, SPLITS, HumanNpt, Protocol
 from .run import find_protocol
 
@@ -79,7 +78,15 @@ def write_split(
         triples, heights, written = [], {}, {}
         for i in range(count):
             pair = chosen.unshuffled_pair(split, kind, i, chosen.rng(split, kind, i))
-            triples.append(_write_pair(pair, out / f"{split}-{kind}", written))
+            folder = out / f"{split}-{kind}"
+            folder.mkdir(parents=True, exist_ok=True)
+            truth = Mesh(pair.truth, pair.identity.faces, name=pair.truth_name)
+            parts: tuple[Mesh | Clip, ...] = (pair.identity, pair.driving, truth)
+            if isinstance(pair, ClipPair):
+                frames = dataclasses.replace(pair.clip, mesh=truth, vertices=pair.truth_frames)
+                parts = (pair.identity, pair.clip, frames)
+            identity, driving, true = (f"{folder.name}/{_write(part, folder, written)}" for part in parts)
+            triples.append((identity, driving, true))
             heights[triples[-1][0]] = pair.height
             done += 1
             if progress is not None:
@@ -87,17 +94,6 @@ def write_split(
         write_list(out / f"{split}-{kind}{SUFFIX}", triples, heights)
     folders = [out / f"{split}-{kind}" for kind in counts]
     return {"files": sum(path.is_file() for folder in folders for path in folder.rglob("*")) + 2 * len(counts)}
-
-
-def _write_pair(pair: Pair, folder: Path, written: dict[str, int]) -> tuple[str, str, str]:
-    """Write identity, driving and truth of a pair; returns their names. `written`: checksums of the folder's files."""
-    folder.mkdir(parents=True, exist_ok=True)
-    truth = Mesh(pair.truth, pair.identity.faces, name=pair.truth_name)
-    parts: tuple[Mesh | Clip, ...] = (pair.identity, pair.driving, truth)
-    if isinstance(pair, ClipPair):
-        parts = (pair.identity, pair.clip, dataclasses.replace(pair.clip, mesh=truth, vertices=pair.truth_frames))
-    identity, driving, true = (f"{folder.name}/{_write(part, folder, written)}" for part in parts)
-    return identity, driving, true
 
 
 def _write(part: Mesh | Clip, folder: Path, written: dict[str, int]) -> str:

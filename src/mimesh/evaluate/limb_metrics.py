@@ -237,7 +237,6 @@ def _axis(points, lengths, share, cut):
 
 
 def _measurable(points, weight, cut):
-    """Tell whether points of cross-sections define a rigid motion (MIN_CUTS, MIN_WIDTH)."""
     centred = points - weight @ points
     deviation = np.linalg.svd(np.sqrt(weight)[:, None] * centred, compute_uv=False)
     return (
@@ -376,5 +375,4 @@ def common_ends(posed: PosedLimbs, result: PosedLimbs, driving: PosedLimbs) -> d
 
 
 def _mean(values: list[float]) -> float | None:
-    """Compute the mean, None of nothing."""
     return float(np.mean(values)) if values else None

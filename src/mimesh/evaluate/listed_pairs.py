@@ -89,11 +89,7 @@ class ListedPairs(Protocol):
             raise InputError(f"--split: expected none with the list {self.name}, found {split}; leave it out")
 
     def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
-        """Read pair `i`.
-
-        Raises:
-            InputError: a file that cannot be used, or a truth that is not one of the identity; with list and line.
-        """
+        """Read pair `i`."""
         triple = self.lists[kind][i]
         identity, driving, truth = (_read(triple, load_mesh, path) for path in triple.paths)
         _check_truth(triple, identity, truth)
@@ -115,7 +111,6 @@ class ListedPairs(Protocol):
         )
 
     def _height(self, kind: str, triple: Triple, identity: Mesh) -> float:
-        """Return the height of a pair's identity at rest, in the unit of its file."""
         known = self.heights[kind]
         if self.height is not None:
             return self.height
@@ -158,7 +153,12 @@ class ListedClips(ListedPairs):
         triple = self.lists[kind][i]
         identity = _read(triple, load_mesh, triple.paths[0])
         clip, truth = (_read(triple, lambda path: load_clip(path, fps=self.fps), path) for path in triple.paths[1:])
-        _check_frames(triple, clip, truth)
+        facts = [f"{len(frames)} frames at {frames.fps:g} a second" for frames in (clip, truth)]
+        if len(clip) != len(truth) or not np.isclose(clip.fps, truth.fps):
+            raise InputError(
+                f"{triple.where}: expected the truth {triple.names[2]} with the {facts[0]} of {triple.names[1]}, found "
+                f"{facts[1]}; save both with the same frames"
+            )
         meshes = [dataclasses.replace(c.mesh, vertices=np.asarray(c.vertices[0], np.float64)) for c in (clip, truth)]
         _check_truth(triple, identity, meshes[1])
         first = self._pair(kind, triple, identity, *meshes)
@@ -200,7 +200,6 @@ def listed_pairs(
 
 
 def _read(triple: Triple, read: Callable[[Path], T], path: Path) -> T:
-    """Read a file of a line; raises InputError with list and line."""
     try:
         return read(path)
     except InputError as error:
@@ -229,16 +228,6 @@ def _check_truth(triple: Triple, identity: Mesh, truth: Mesh) -> None:
         raise InputError(
             f"{triple.where}: expected {names[0]} with the triangles of {names[1]}, found others; save both with one "
             "order of vertices and faces"
-        )
-
-
-def _check_frames(triple: Triple, clip: Clip, truth: Clip) -> None:
-    """Check that a driving clip and its truth have the same frames."""
-    facts = [f"{len(frames)} frames at {frames.fps:g} a second" for frames in (clip, truth)]
-    if len(clip) != len(truth) or not np.isclose(clip.fps, truth.fps):
-        raise InputError(
-            f"{triple.where}: expected the truth {triple.names[2]} with the {facts[0]} of {triple.names[1]}, found "
-            f"{facts[1]}; save both with the same frames"
         )
 
 

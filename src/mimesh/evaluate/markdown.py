@@ -1,4 +1,7 @@
-"""Format the rows of reports as Markdown tables: every mean with its interval, median, 90th percentile and wins."""
+"""Summarise figures of single pairs as rows of reports, and format these as Markdown tables.
+
+Every mean has its interval, median, 90th percentile and wins.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +9,11 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
 from ..bodies.joint_names import without_side
-from .summary import summary, win_share
+from ..methods.find import NETWORK_OF_BODY
+from .measure import extra_inputs, training_facts
 
 BASELINES = ("copy", "deformation-transfer-13")
 """Methods against which wins are counted."""
@@ -56,7 +61,16 @@ def markdown(report: dict[str, Any]) -> str:
         f"Left out: {count} file{'s' * (count != 1)} ({reason})."
         for reason, count in report.get("left_out", {}).items()
     ]
-    return "\n\n".join([title, *tables, *left_out, *unmeasured(rows)])
+    pairs: dict[tuple[str, str, str], list[str]] = {}
+    for row in rows:
+        for count, reason, said in (("not_applicable", "why", "Not applicable"), ("failures", "failed", "Failed")):
+            if reason in row:
+                share = f"{row[count]} of {_all_pairs(row)} pairs of {row['split']}"
+                pairs.setdefault((said, row["method"], row[reason]), []).append(share)
+    lines = [f"{said}: `{method}`, {', '.join(shares)} ({why})." for (said, method, why), shares in pairs.items()]
+    if any("failures" in row for row in rows):
+        lines.append("Means are over the other pairs; the report has the message of each pair that failed.")
+    return "\n\n".join([title, *tables, *left_out, *lines])
 
 
 def kind_table(rows: list[dict[str, Any]]) -> str:
@@ -84,7 +98,6 @@ def kind_table(rows: list[dict[str, Any]]) -> str:
 
 
 def _limb_table(rows: list[dict[str, Any]]) -> str:
-    """Format the rows of a kind without true meshes: limb directions, limb ends and contacts."""
     quantities = ("limbs, degrees", "wrists and ankles, limb lengths")
     head = ["method", "pairs", *(f"{name}: {part}" for name in quantities for part in ("mean", "median", "90 %"))]
     head += [*LIMB_COLUMNS.values(), "s a pair", "given"]
@@ -146,19 +159,6 @@ def makers_table(rows: list[dict[str, Any]]) -> str:
     return markdown_table(["maker, pack", *heads], lines)
 
 
-def unmeasured(rows: list[dict[str, Any]]) -> list[str]:
-    """Format one line for each method with pairs that are not in its means, with the reason, or the first of them."""
-    kinds: dict[tuple[str, str, str], list[str]] = {}
-    for row in rows:
-        for count, reason, said in (("not_applicable", "why", "Not applicable"), ("failures", "failed", "Failed")):
-            if reason in row:
-                share = f"{row[count]} of {_all_pairs(row)} pairs of {row['split']}"
-                kinds.setdefault((said, row["method"], row[reason]), []).append(share)
-    lines = [f"{said}: `{method}`, {', '.join(shares)} ({why})." for (said, method, why), shares in kinds.items()]
-    failed = any("failures" in row for row in rows)
-    return lines + ["Means are over the other pairs; the report has the message of each pair that failed."] * failed
-
-
 def markdown_table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
     """Format a Markdown table from its head and its rows."""
     rule = ["---"] * len(head)
@@ -185,19 +185,16 @@ def _number(value: float | np.floating) -> str:
 
 
 def _spread(errors: list[float] | None) -> str:
-    """Format median, mean and number of errors."""
     return f"{_number(np.median(errors))} / {_number(np.mean(errors))} ({len(errors)})" if errors else "-"
 
 
 def _pairs(row: dict[str, Any]) -> str:
-    """Format the number of pairs, of how many where some were not applicable, and how many failed."""
     failed, count = row.get("failures", 0), _all_pairs(row)
     text = f"{row['pairs']} of {count}" if count > row["pairs"] else str(row["pairs"])
     return f"{text}, {failed} failed" if failed else text
 
 
 def _all_pairs(row: dict[str, Any]) -> int:
-    """Return the number of pairs, measured or not."""
     return row["pairs"] + row.get("not_applicable", 0) + row.get("failures", 0)
 
 
@@ -205,3 +202,99 @@ def wins(row: dict[str, Any], baseline: dict[str, Any]) -> str:
     """Format the share of pairs on which a method is better than a baseline; none for the baseline itself."""
     share = None if row["method"] == baseline["method"] else win_share(row, baseline)
     return "-" if share is None else f"{100 * share:.0f} %"
+
+
+DISTRIBUTIONS = {
+    **{"pmd_e4": 4, "pmd_public_e4": 4, "mm": 2, "limb_deg": 2, "end_effector": 3},
+    **{"joints_pct": 3, "deform_mm": 2},
+}
+"""Metrics with mean, interval, median, 90th percentile and maximum in a report, and their decimals."""
+MEANS = {
+    **{"chamfer_e4": 4, "edge_score": 4, "flipped": 5},
+    **{"path_mm": 2, "jitter": 4, "liveliness": 3, "still_mm": 4, "skate_cm_s": 3},  # of clips
+    **{"sole_height": 3, "touching": 3},  # without a true mesh (`limb_metrics`)
+    **{"j2j": 3, "j2b": 3, "b2b": 3, "iou": 2, "weights_l1": 4},  # of rigs
+}
+"""Metrics with a mean only, over the pairs that have a value, and their decimals."""
+DIGITS = 6
+"""Significant digits of the figures of single pairs."""
+
+
+def summary(method: str, kind: str, figures: list[dict[str, Any]], body: str = "human") -> dict[str, Any]:
+    """Summarise the figures of all pairs of one kind as a row of a report; `each` has those of every pair.
+
+    A pair that failed has its message there, under "failed".
+
+    Args:
+        body: shipped body that the test set shows; `mime` opens the network of that body.
+    """
+    described = NETWORK_OF_BODY[body] if method == NETWORK_OF_BODY["human"] else method
+    measured = [metrics for metrics in figures if not {"why", "failed"} & metrics.keys()]
+    # Means are over the measured pairs. A method must not improve them by failing: failures are counted and shown.
+    row: dict[str, Any] = {"method": method, "split": kind, "pairs": len(measured)}
+    row |= {"given": extra_inputs(described), **training_facts(described)}
+    for count, reason in (("not_applicable", "why"), ("failures", "failed")):
+        reasons = [metrics[reason] for metrics in figures if reason in metrics]
+        if reasons:
+            row |= {count: len(reasons), reason: reasons[0]}
+    for name, digits in DISTRIBUTIONS.items():
+        chosen = [metrics for metrics in measured if metrics.get(name) is not None]
+        if chosen:
+            each = np.array([metrics[name] for metrics in chosen])
+            groups = [[of.get(label, str(k)) for k, of in enumerate(chosen)] for label in ("identity", "driving")]
+            row[name] = round(float(each.mean()), digits)
+            if len(each) > 1:
+                row[f"{name}_ci95"] = round(half_interval(each, *groups), digits)
+            for end, value in (("median", np.median(each)), ("p90", np.quantile(each, 0.9)), ("max", each.max())):
+                row[f"{name}_{end}"] = round(float(value), digits)
+    for name, digits in MEANS.items():
+        values = [metrics[name] for metrics in measured if metrics.get(name) is not None]
+        if values:
+            row[name] = round(float(np.mean(values)), digits)
+    if measured and "stretch" in measured[0]:
+        row["stretch_max"] = round(max(metrics["stretch"] for metrics in measured), 2)
+    if measured:
+        row["seconds_per_frame"] = round(float(np.median([metrics["seconds"] for metrics in measured])), 4)
+    names = dict.fromkeys(name for metrics in figures for name in metrics if name != "why")
+    return row | {"each": {name: [_rounded(metrics.get(name)) for metrics in figures] for name in names}}
+
+
+def _rounded(value: Any) -> Any:
+    return float(f"{value:.{DIGITS}g}") if isinstance(value, float) else value
+
+
+def half_interval(errors: Float[np.ndarray, " N"], identities: list[str], drivings: list[str]) -> float:
+    """Return half of the 95 % confidence interval of the mean.
+
+    Pairs that share a person, in either role, are not independent: the variance of the mean is the sum of the products
+    of deviations over all such pairs of pairs (Aronow, Samii and Assenova 2015, dyadic clusters), at least that over
+    single pairs. Student's t has one degree of freedom less than there are people in the role with fewer.
+    """
+    from scipy.stats import t
+
+    if len(errors) < 2:
+        return 0.0
+    deviations = errors - errors.mean()
+    first, second = np.array(identities), np.array(drivings)
+    shared = np.zeros((len(errors), len(errors)), bool)
+    for one in (first, second):
+        for other in (first, second):
+            shared |= one[:, None] == other
+    variance = max(deviations @ shared @ deviations, deviations @ deviations) / len(errors) ** 2
+    people = min(len(set(identities)), len(set(drivings)))
+    return float(t.ppf(0.975, max(people - 1, 1)) * np.sqrt(variance))
+
+
+def win_share(row: dict[str, Any], baseline: dict[str, Any]) -> float | None:
+    """Return the share of the pairs measured for both rows in which `row` has the smaller PMD; None without any."""
+    errors, others = _errors_by_pair(row), _errors_by_pair(baseline)
+    common = errors.keys() & others.keys()
+    return sum(errors[pair] < others[pair] for pair in common) / len(common) if common else None
+
+
+def _errors_by_pair(row: dict[str, Any]) -> dict[str, float]:
+    each = row.get("each", {})
+    if "pmd_e4" not in each:  # nothing was measured
+        return {}
+    pairs = zip(each["pair"], each["pmd_e4"], strict=True)
+    return {pair: error for pair, error in pairs if error is not None}

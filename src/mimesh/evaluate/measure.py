@@ -12,7 +12,7 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple, TypeGuard
+from typing import Any, NamedTuple
 
 import numpy as np
 from jaxtyping import Float
@@ -22,8 +22,9 @@ from ..core.geometry import edges
 from ..core.mesh import Clip, Mesh, check_size
 from ..core.normalization import Normalization, bbox_centre
 from ..core.options import Hints, ModelOptions, MotionOptions
-from ..methods.base import Method, ShapeMethod, SizedMethod
+from ..methods.base import Method
 from ..methods.find import find_model, weights_path
+from ..methods.npt import PaperNetwork
 from ..mime.model import Mime
 from ..pipeline import ClipResult, Result, animate, transfer
 from .characters import CharacterPair
@@ -43,7 +44,6 @@ from .metrics import (
     path_error_mm,
     pmd,
     pmd_public,
-    resized,
 )
 from .pairs import Pair
 
@@ -171,46 +171,57 @@ class Output(NamedTuple):
         return self.vertices + (bbox_centre(truth) - origin)[..., None, :]
 
 
-def run_on_pair(
-    pair: Pair, method: str | Method, ensemble: int = 1, refine: bool = False, runtime: Runtime | None = None
+def run_on(
+    trial: Pair, method: str | Method, ensemble: int = 1, refine: bool = False, runtime: Runtime | None = None
 ) -> Output:
-    """Run a method on a pair. Networks that take the true size are not refined.
+    """Run a method on a pair or a clip. Networks that take the true size are not refined.
+
+    The baseline `copy` is scaled once for a whole clip: its mean radius over the frames becomes that of the truth.
 
     Args:
         method: a name (of EXTRA_INPUTS or of `methods.MODELS`), the path of an `.onnx` file, or a Method object.
         ensemble: see `find_model`.
         refine: see `transfer`.
         runtime: what runs the network instead of onnxruntime.
-
-    Raises:
-        NotApplicableError: the method cannot be applied to this pair, such as deformation transfer to a point cloud.
     """
-    if not isinstance(method, str):
-        return _run_network(pair, method, refine)
-    if method in ("identity", "truth"):
-        return Output(pair.identity.vertices if method == "identity" else pair.truth)
+    clip = trial.clip if isinstance(trial, ClipPair) else None
+    truth, aligned = trial.truth, trial.aligned
+    if isinstance(trial, ClipPair):
+        truth, aligned = trial.truth_frames, trial.aligned_frames
+    if method == "identity":
+        return Output(np.broadcast_to(trial.identity.vertices, truth.shape))
+    if method == "truth":
+        return Output(truth)
     if method == "copy":
-        return Output(resized(required_input(pair.aligned, method), pair.truth))
-    if method.startswith("deformation-transfer"):
-        driving, inputs = deformation_transfer_inputs(pair, method)
-        return Output.of(transfer(pair.identity, driving, "deformation-transfer", hints=AXES, options=inputs))
-    return _run_network(pair, open_network(method, ensemble, runtime), refine)
-
-
-def _run_network(pair: Pair, network: Mime | Method, refine: bool) -> Output:
-    if compared_as_shapes(network, refine):
-        vertices, origin = placed_shapes(network, pair.identity, Clip.still(pair.driving), pair.truth[None])
+        aligned = required_input(aligned, "copy")
+        return Output(aligned * (box_radius(truth).mean() / box_radius(aligned).mean()))
+    if isinstance(method, str) and method.startswith("deformation-transfer"):
+        driving, inputs = deformation_transfer_inputs(trial, method)
+        if clip is None:
+            return Output.of(transfer(trial.identity, driving, "deformation-transfer", hints=AXES, options=inputs))
+        frames = aligned if method.endswith("-dense") else clip.vertices
+        clip = Clip(driving, required_input(frames, method), clip.fps)
+        return Output.of(animate(trial.identity, clip, "deformation-transfer", hints=AXES, options=inputs))
+    network = open_network(method, ensemble, runtime) if isinstance(method, str) else method
+    # Networks of the papers, whose own results are compared, as in their training; refined ones need a size.
+    if isinstance(network, PaperNetwork) and (needs_true_size(network) or not refine):
+        if clip is not None:
+            return Output(*placed_shapes(network, trial.identity, clip, truth))
+        vertices, origin = placed_shapes(network, trial.identity, Clip.still(trial.driving), truth[None])
         return Output(vertices[0], origin[0])
-    hints, options = _hints(network), ModelOptions(refine=refine)
-    return Output.of(transfer(pair.identity, pair.driving, network, hints=hints, options=options, motion=FOLLOWED))
+    # Networks that would look at the meshes for a note only are told what these are.
+    body = None if isinstance(network, Mime) else getattr(network, "body", None)
+    hints = AXES if body is None else dataclasses.replace(AXES, body=body)
+    options = ModelOptions(refine=refine)
+    if clip is None:
+        result = transfer(trial.identity, trial.driving, network, hints=hints, options=options, motion=FOLLOWED)
+    else:
+        result = animate(trial.identity, clip, network, hints=hints, options=options, motion=FOLLOWED)
+    return Output.of(result)
 
 
 def open_network(name: str, ensemble: int, runtime: Runtime | None) -> Mime | Method:
-    """Open a network by its name or path.
-
-    Raises:
-        InputError: no such network, or one that the runtime does not run.
-    """
+    """Open a network by its name or path."""
     network = find_model(name, ensemble=ensemble)
     return network if runtime is None else runtime(network, weights_path(name))
 
@@ -235,27 +246,13 @@ def deformation_transfer_inputs(pair: Pair, method: str) -> tuple[Mesh, ModelOpt
     return pair.driving, ModelOptions(reference=reference, markers=markers[markers[:, 1] >= 0])
 
 
-def _hints(network: Mime | Method) -> Hints:
-    """Return the axes of all pairs, and what the meshes are for networks that would look at them for a note only."""
-    body = getattr(network, "body", None)
-    return AXES if body is None or isinstance(network, Mime) else dataclasses.replace(AXES, body=body)
-
-
 def needs_true_size(method: Mime | Method) -> bool:
     """Return whether a network's unit is the radius of the truth, as in the papers' tables: no user has that number."""
     return getattr(method, "target_scale", "identity") == "truth"
 
 
-def compared_as_shapes(method: Mime | Method, refine: bool) -> TypeGuard[ShapeMethod]:
-    """Return whether a method is a network of the papers whose own results are compared, as in its training.
-
-    Refined results are those of `transfer`, which needs a size of the method.
-    """
-    return isinstance(method, ShapeMethod) and (needs_true_size(method) or not refine)
-
-
 def placed_shapes(
-    network: ShapeMethod, identity: Mesh, clip: Clip, truth: Float[np.ndarray, "T V 3"]
+    network: PaperNetwork, identity: Mesh, clip: Clip, truth: Float[np.ndarray, "T V 3"]
 ) -> tuple[Float[np.ndarray, "T V 3"], Float[np.ndarray, "T 3"]]:
     """Run a network of the papers on a clip; give its shapes in metres on the driving's path, and their origins.
 
@@ -267,8 +264,7 @@ def placed_shapes(
         dataclasses.replace(mesh, vertices=norm.apply(mesh.vertices))
         for mesh, norm in ((identity, identity_norm), (clip.mesh, driving_norm))
     )
-    if isinstance(network, SizedMethod):
-        network = network.with_sizes((identity.name, identity_norm.radius), (driving.name, driving_norm.radius))
+    network = network.with_sizes((identity.name, identity_norm.radius), (driving.name, driving_norm.radius))
     frames = driving_norm.apply(np.asarray(clip.vertices, np.float64))
     shapes = np.stack(list(network.shapes(identity, Clip.still(driving))(check_size(frames, driving.name))))
     sizes = box_radius(truth) if needs_true_size(network) else np.full(len(truth), identity_norm.radius)
@@ -276,44 +272,52 @@ def placed_shapes(
     return shapes * sizes[:, None, None] + origin[:, None], origin
 
 
-def measure(pair: Pair, method: str | Method, **options: Any) -> dict[str, Any]:
-    """Measure a method on one pair and return its metrics.
+def measure(trial: Pair, method: str | Method, **options: Any) -> dict[str, Any]:
+    """Measure a method on a pair or a clip and return its metrics, its confidence, and the seconds that a frame took.
 
-    Of two characters, their limbs are compared, too, and vertices only if their truth is known. {"why": reason} if the
-    method cannot be applied, {"failed": reason} if it fails (`timed`).
+    Of two characters, their limbs are compared, too, and vertices only if their truth is known. Metrics of shape of a
+    clip are means over the frames (`stretch`: the maximum). Without a result: {"why": reason} if the method cannot be
+    applied, {"failed": reason} if it refuses the pair or a coordinate is not finite.
     """
-    result, facts = timed(run_on_pair, pair, method, options)
-    if result is None:
-        return facts
-    metrics: dict[str, Any] = {}
-    if pair.truth_known:
-        metrics |= shape_metrics(result.beside(pair.truth), pair.truth, pair)
-    if isinstance(pair, CharacterPair):
-        characters = (pair.identity_character, pair.driving_character)
-        identity, driving = (LimbedCharacter(character.rig, character.limbs) for character in characters)
-        metrics |= limb_metrics(identity, driving, result.vertices, pair.driving.vertices)
-    return metrics | facts
-
-
-def timed(
-    run: Callable[..., Output], trial: Pair, method: str | Method, options: dict[str, Any]
-) -> tuple[Output | None, dict[str, Any]]:
-    """Run a method and return its result, and its confidence with the seconds it took.
-
-    Without a result: {"why": reason} if the method cannot be applied, {"failed": reason} if it refuses the pair or
-    a coordinate is not finite.
-    """
+    trial = in_supported_order(trial, method)
     started = time.perf_counter()
     try:
-        result = run(trial, method, **options)
+        result = run_on(trial, method, **options)
     except NotApplicableError as error:
-        return None, {"why": str(error)}
+        return {"why": str(error)}
     except InputError as error:
-        return None, {"failed": str(error)}
-    seconds = time.perf_counter() - started
-    if not np.isfinite(result.vertices).all():
-        return None, {"failed": "the result has coordinates that are not finite"}
-    return result, {**result.confidence, "seconds": seconds}
+        return {"failed": str(error)}
+    facts = {**result.confidence, "seconds": time.perf_counter() - started}
+    moved, metrics = result.vertices, dict[str, Any]()
+    if not np.isfinite(moved).all():
+        return {"failed": "the result has coordinates that are not finite"}
+    if isinstance(trial, ClipPair):
+        truth, fps = trial.truth_frames, trial.clip.fps
+        frames = [shape_metrics(*both, trial) for both in zip(result.beside(truth), truth, strict=True)]
+        copies, first = (STATIC_FRAMES, 1, 1), {}
+        for name in ("truth_frames", "aligned_frames"):
+            frames_of = getattr(trial, name)
+            first[name] = None if frames_of is None else np.tile(frames_of[:1], copies)
+        clip = dataclasses.replace(trial.clip, vertices=np.tile(trial.clip.vertices[:1], copies))
+        still = run_on(dataclasses.replace(trial, clip=clip, **first), method, **options).vertices
+        return {
+            **{name: float(np.mean([frame[name] for frame in frames])) for name in frames[0]},
+            "stretch": max(frame["stretch"] for frame in frames),
+            "path_mm": path_error_mm(moved, truth, trial.height),
+            "jitter": jitter(moved, truth, trial.height, fps),
+            "liveliness": acceleration_ratio(moved, truth),
+            "still_mm": largest_step_mm(still, trial.height),
+            "skate_cm_s": foot_skate(moved, truth, trial.height, fps),
+            **facts,
+            "seconds": facts["seconds"] / len(moved),
+        }
+    if trial.truth_known:
+        metrics = shape_metrics(result.beside(trial.truth), trial.truth, trial)
+    if isinstance(trial, CharacterPair):
+        characters = (trial.identity_character, trial.driving_character)
+        identity, driving = (LimbedCharacter(character.rig, character.limbs) for character in characters)
+        metrics |= limb_metrics(identity, driving, moved, trial.driving.vertices)
+    return metrics | facts
 
 
 def shape_metrics(result: Float[np.ndarray, "V 3"], truth: Float[np.ndarray, "V 3"], pair: Pair) -> dict[str, float]:
@@ -337,73 +341,8 @@ def required_input(array: Any, method: str) -> Any:
     return array
 
 
-def run_on_clip(
-    trial: ClipPair, method: str, ensemble: int = 1, refine: bool = False, runtime: Runtime | None = None
-) -> Output:
-    """Run a method on a clip; see `run_on_pair`.
-
-    The baseline `copy` is scaled once for the whole clip: its mean radius over the frames becomes that of the truth.
-
-    Raises:
-        NotApplicableError: the method cannot be applied to this clip.
-    """
-    if method == "identity":
-        return Output(np.tile(trial.identity.vertices, (len(trial.clip), 1, 1)))
-    if method == "truth":
-        return Output(trial.truth_frames)
-    if method == "copy":
-        aligned = required_input(trial.aligned_frames, method)
-        return Output(aligned * (box_radius(trial.truth_frames).mean() / box_radius(aligned).mean()))
-    if method.startswith("deformation-transfer"):
-        driving, inputs = deformation_transfer_inputs(trial, method)
-        frames = trial.aligned_frames if method.endswith("-dense") else trial.clip.vertices
-        clip = Clip(driving, required_input(frames, method), trial.clip.fps)
-        return Output.of(animate(trial.identity, clip, "deformation-transfer", hints=AXES, options=inputs))
-    network = open_network(method, ensemble, runtime)
-    if compared_as_shapes(network, refine):
-        return Output(*placed_shapes(network, trial.identity, trial.clip, trial.truth_frames))
-    hints, options = _hints(network), ModelOptions(refine=refine)
-    return Output.of(animate(trial.identity, trial.clip, network, hints=hints, options=options, motion=FOLLOWED))
-
-
-def measure_clip(trial: ClipPair, method: str, **options: Any) -> dict[str, Any]:
-    """Measure a method on one clip and return its metrics; without any as `measure`.
-
-    Metrics of shape are means over the frames (`stretch`: the maximum); `seconds` is the total time per frame.
-    """
-    trial = in_supported_order(trial, method)
-    result, facts = timed(run_on_clip, trial, method, options)
-    if result is None:
-        return facts
-    truth, fps, moved = trial.truth_frames, trial.clip.fps, result.vertices
-    frames = [shape_metrics(*both, trial) for both in zip(result.beside(truth), truth, strict=True)]
-    metrics = {name: float(np.mean([frame[name] for frame in frames])) for name in frames[0]}
-    return metrics | {
-        "stretch": max(frame["stretch"] for frame in frames),
-        "path_mm": path_error_mm(moved, truth, trial.height),
-        "jitter": jitter(moved, truth, trial.height, fps),
-        "liveliness": acceleration_ratio(moved, truth),
-        "still_mm": largest_step_mm(run_on_clip(repeat_first_frame(trial), method, **options).vertices, trial.height),
-        "skate_cm_s": foot_skate(moved, truth, trial.height, fps),
-        **facts,
-        "seconds": facts["seconds"] / len(moved),
-    }
-
-
-def in_supported_order(trial: ClipPair, method: str) -> ClipPair:
-    """Return the trial in the body's vertex order for networks with weights for each vertex, else as it is."""
-    network = None if method in EXTRA_INPUTS else find_model(method)
-    if trial.place is not None and getattr(network, "vertices", 0):
-        return trial.reordered(trial.place, trial.place)
-    return trial
-
-
-def repeat_first_frame(trial: ClipPair) -> ClipPair:
-    """Return the trial as a static clip: STATIC_FRAMES copies of its first frame."""
-    still = (STATIC_FRAMES, 1, 1)
-    return dataclasses.replace(
-        trial,
-        clip=dataclasses.replace(trial.clip, vertices=np.tile(trial.clip.vertices[:1], still)),
-        truth_frames=np.tile(trial.truth_frames[:1], still),
-        aligned_frames=None if trial.aligned_frames is None else np.tile(trial.aligned_frames[:1], still),
-    )
+def in_supported_order(trial: Pair, method: str | Method) -> Pair:
+    """Return a clip in the body's vertex order for networks with weights for each vertex, else the trial as it is."""
+    if not isinstance(trial, ClipPair) or trial.place is None or not isinstance(method, str) or method in EXTRA_INPUTS:
+        return trial
+    return trial.reordered(trial.place, trial.place) if getattr(find_model(method), "vertices", 0) else trial

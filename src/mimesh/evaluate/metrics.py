@@ -39,9 +39,6 @@ def pmd(result: Float[np.ndarray, "*T V 3"], truth: Float[np.ndarray, "*S W 3"])
 
     The truth of each frame is in the unit sphere about its box, and the result is where it lies beside it: nothing is
     re-aligned. Squared distances are summed over coordinates, mean over vertices. Papers print it x1e4.
-
-    Raises:
-        ValueError: shapes differ; vertex and frame counts are never broadcast.
     """
     _same_shape(result, truth)
     return float((np.square(result - truth).sum(axis=-1).mean(axis=-1) / box_radius(truth) ** 2).mean())
@@ -57,9 +54,6 @@ def pmd_public(result: Float[np.ndarray, "*T V 3"], truth: Float[np.ndarray, "*S
     """Compute the error of NPT's public `evaluate.py`: mean square of V vertices x 3 coordinates, in metres.
 
     Each mesh is about the centre of its own box; over frames the mean. `metres` is the length of the meshes' unit.
-
-    Raises:
-        ValueError: shapes differ.
     """
     _same_shape(result, truth)
     return float(np.square(box_aligned(result, truth) - truth).mean() * metres**2)

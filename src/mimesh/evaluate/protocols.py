@@ -232,23 +232,17 @@ class Noise(Corrupted):
     def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
         pair = self.clean_pair(split, i)
         if kind.startswith("noise-"):
-            return self.noisy_pair(pair, int(kind.removeprefix("noise-")) / 100, rng)
+            vertices = pair.driving.vertices
+            radius = np.linalg.norm(vertices - vertices.mean(axis=0), axis=1).max()
+            amplitude = int(kind.removeprefix("noise-")) / 100 * radius
+            vertices = vertices + amplitude * rng.uniform(-1, 1, vertices.shape)
+            driving = dataclasses.replace(pair.driving, vertices=vertices)
+            return dataclasses.replace(pair, driving=driving, aligned=vertices)
         if kind == "holes":
             return remesh_driving(pair, remesh.holes(human(), rng))
         if kind == "cropped":
             return remesh_driving(pair, remesh.cropped(human(), rng))
         return remesh_driving(pair, remesh.half(human(), pair.driving.vertices, rng))
-
-    def noisy_pair(self, pair: Pair, amplitude: float, rng: np.random.Generator) -> Pair:
-        """Add uniform noise to the driving vertices, and the same noise to those that the baseline `copy` gets.
-
-        It changes coordinates by up to `amplitude` times the mesh's radius (about the centroid).
-        """
-        vertices = pair.driving.vertices
-        radius = np.linalg.norm(vertices - vertices.mean(axis=0), axis=1).max()
-        vertices = vertices + amplitude * radius * rng.uniform(-1, 1, vertices.shape)
-        driving = dataclasses.replace(pair.driving, vertices=vertices)
-        return dataclasses.replace(pair, driving=driving, aligned=vertices)
 
 
 MESHINGS = {"decimated": remesh.decimated, "retriangulated": remesh.retriangulated, "subdivided": remesh.subdivided}

@@ -34,13 +34,13 @@ from .characters import Characters, characters, cross_body
 from .clip_protocols import CLIPS_ANIFORMER, CLIPS_ORDERED, ClipPair
 from .frozen_sets import frozen_sets, pair_checksum, role, set_checksum
 from .listed_pairs import ListedPairs, files_below, listed_pairs
-from .measure import EXTRA_INPUTS, Runtime, measure, measure_clip, open_network, run_on_clip, run_on_pair
+from .markdown import summary
+from .measure import EXTRA_INPUTS, Runtime, measure, open_network, run_on
 from .metrics import VERSION, pmd
 from .pairs import Pair
 from .protocols import PROTOCOLS, QUADRUPED, SPLITS, Protocol
 from .provenance import commit, libraries, machine
 from .rigs import RiggedPeople, RigTrial, measure_rig, rig_comparison, rigs
-from .summary import summary
 
 if TYPE_CHECKING:
     from PIL import Image
@@ -98,7 +98,12 @@ def evaluate_command(
     if not methods:
         raise InputError("--model: expected one model or more, with commas between, found none; name some")
     for method in methods:
-        check_method(method)
+        names = sorted({*EXTRA_INPUTS, *MODELS, *NETWORK_OF_BODY.values()} - {"deformation-transfer"})
+        named = method in (*names, *REDUCED_MODELS, *INDEX_PAIRED.values()) or is_table_model(method)
+        if not named and not (method.endswith(".onnx") and Path(method).is_file()):
+            close = did_you_mean(method, names) or "; check -m"
+            raise InputError(f"{method}: expected one of {', '.join(names)} or an .onnx file, found neither{close}")
+        check_weights(method)
     chosen.check(split)
     if dump is not None and chosen.name in ("characters", "rigs") and split == "test":
         raise InputError("--dump: expected the split val or train of characters, found test, which nobody looks at; "
@@ -207,8 +212,6 @@ def measure_trial(protocol: Protocol, trial: Pair, method: str, options: dict[st
     labels = {"pair": pair_checksum(trial), "identity": trial.groups[0], "driving": trial.groups[1]}
     if isinstance(trial, RigTrial):
         return labels | measure_rig(trial, method)
-    if isinstance(trial, ClipPair):
-        return labels | measure_clip(trial, method, **options)
     return labels | measure(trial, method, **options)
 
 
@@ -270,16 +273,11 @@ def data_facts(protocol: Protocol, split: str, data: Path | None) -> dict[str, A
         return {"lists": protocol.checksums(), "data": files_checksum(protocol.files())}
     facts: dict[str, Any] = {"split": split}
     if data is not None and protocol.name in FOLDERS:
-        facts["data"] = folder_checksum(data)
+        files = files_below(data)
+        if not files:
+            raise InputError(f"{data}: expected a folder with files, found none; check --data")
+        facts["data"] = files_checksum({str(path.relative_to(data)): path for path in files})
     return facts
-
-
-def folder_checksum(folder: Path) -> str:
-    """Return `files_checksum` of a folder and its subfolders; raise InputError if there are no files."""
-    files = files_below(folder)
-    if not files:
-        raise InputError(f"{folder}: expected a folder with files, found none; check --data")
-    return files_checksum({str(path.relative_to(folder)): path for path in files})
 
 
 def files_checksum(files: Mapping[str, Path]) -> str:
@@ -339,16 +337,6 @@ def fingerprint(method: str) -> int:
     return zlib.crc32(hands_path().read_bytes(), checksum) if uses_hands else checksum
 
 
-def check_method(method: str) -> None:
-    """Raise InputError, with the known names, for a method that does not exist."""
-    names = sorted({*EXTRA_INPUTS, *MODELS, *NETWORK_OF_BODY.values()} - {"deformation-transfer"})
-    named = method in (*names, *REDUCED_MODELS, *INDEX_PAIRED.values()) or is_table_model(method)
-    if not named and not (method.endswith(".onnx") and Path(method).is_file()):
-        close = did_you_mean(method, names) or "; check -m"
-        raise InputError(f"{method}: expected one of {', '.join(names)} or an .onnx file, found neither{close}")
-    check_weights(method)
-
-
 def provenance(config: dict[str, Any]) -> dict[str, Any]:
     """Return where and when metrics were measured: seed, configuration, commit, machine, libraries, date."""
     return {
@@ -398,8 +386,8 @@ def dump_worst(
 def _to_draw(pair: Pair, method: str, options: dict[str, Any]) -> tuple[Pair, Float[np.ndarray, "V 3"]]:
     """Return a pair and the method's result beside its truth; for a clip, those of the frame with the largest PMD."""
     if not isinstance(pair, ClipPair):
-        return pair, run_on_pair(pair, method, **options).beside(pair.truth)
-    frames = run_on_clip(pair, method, **options).beside(pair.truth_frames)
+        return pair, run_on(pair, method, **options).beside(pair.truth)
+    frames = run_on(pair, method, **options).beside(pair.truth_frames)
     worst = int(np.argmax([pmd(a, b) for a, b in zip(frames, pair.truth_frames, strict=True)]))
     return pair.frame(worst), frames[worst]
 

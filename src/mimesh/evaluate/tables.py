@@ -22,7 +22,7 @@ class Row(NamedTuple):
     label: str
     """The paper's name of the row, or ours for rows that the paper does not have."""
     method: str
-    """Our method (`measure.run_on_pair`)."""
+    """Our method (`measure.run_on`)."""
     seen: float | None = None
     """PMD x1e4 on seen poses that the paper prints; None where it prints none."""
     unseen: float | None = None
@@ -174,9 +174,6 @@ def rows_without_weights(
     Args:
         trained: networks that will be trained first.
         without: methods whose rows are left out in any case.
-
-    Raises:
-        InputError: no such table or row, or no row can be measured.
     """
     methods = [row.method for row in find_table(name, without).rows]
     missing = missing_weights(*(method for method in methods if REDUCED_MODELS.get(method, method) not in trained))
@@ -201,9 +198,6 @@ def table_command(
     Args:
         trained: method of a row -> networks that stand in its place, one a seed (`methods_in`).
         without: methods whose rows are left out, `rows_without_weights` for example.
-
-    Raises:
-        InputError: no such table or row, or a missing network of a row.
     """
     table = find_table(name, without)
     methods = list(dict.fromkeys(method for row in table.rows for method in trained.get(row.method, [row.method])))

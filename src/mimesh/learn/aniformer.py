@@ -195,17 +195,16 @@ class VertexAttention(Attention):
 
     def forward(self, h: Float[Tensor, "C B T V"]) -> Float[Tensor, "C B T V"]:
         attended_to = h.narrow(3, 0, cast(int, torch.sym_min(h.shape[3], self.keys)))  # in a graph V is a symbol
-        q, k, v = (self._by_head(x) for x in (self.query(h), self.key(attended_to), self.value(attended_to)))
+        q, k, v = (
+            x.unflatten(0, (self.heads, -1)).flatten(2, 3).permute(2, 0, 3, 1).contiguous()
+            for x in (self.query(h), self.key(attended_to), self.value(attended_to))
+        )
         if h.is_cuda:
             attended = F.scaled_dot_product_attention(q, k, v, scale=self.scale)
         else:  # the fused kernel of a CPU takes three times as long as one head's V x `keys` products after another
             heads = zip(q.unbind(1), k.unbind(1), v.unbind(1), strict=True)
             attended = torch.stack([_attend(*head, self.scale) for head in heads], dim=1)
         return h + self.gamma * attended.permute(1, 3, 0, 2).flatten(0, 1).unflatten(1, h.shape[1:3])
-
-    def _by_head(self, h: Float[Tensor, "C B T N"]) -> Float[Tensor, "BT H N D"]:
-        """Transpose to the contiguous layout that the fused kernels need."""
-        return h.unflatten(0, (self.heads, -1)).flatten(2, 3).permute(2, 0, 3, 1).contiguous()
 
 
 class Layer(nn.Module):

@@ -19,30 +19,30 @@ from ..evaluate.metrics import VERSION
 from ..evaluate.provenance import commit
 from ..io.atomic import whole_file
 from .config import recorded_config
-from .models import find_task
+from .models import find_task, operations_of
 from .task import TrainConfig, UserData
 
 SCHEDULE = ("seed", "pairs", "minutes", "decay", "learning_rate", "accumulate")
 """Keys of the schedule, which may change where a training is resumed."""
 
 
-@dataclass(frozen=True)
+@dataclass
 class Checkpoint:
     """The state of a training; `tensors` holds `model.*`, `ema.*` and `optimizer.<which>.<parameter>.<field>`."""
 
     config: TrainConfig
-    step: int
-    seconds: float
-    """Spent in steps: CPU time, or wall-clock time with a GPU."""
-    best: float
+    step: int = 0
+    seconds: float = 0.0
+    """Spent in steps: CPU time, or wall-clock time with a GPU (`loop.clock`)."""
+    best: float = float("inf")
     """Lowest validation figure so far (PMD x1e4)."""
-    metrics: dict[str, float]
+    metrics: dict[str, float] = field(default_factory=dict)
     """Validation figures of these weights, if they were validated."""
-    tensors: dict[str, Tensor]
+    tensors: dict[str, Tensor] = field(default_factory=dict)
     before: tuple[dict[str, int | float], ...] = ()
     """Trainings whose network this one began with, as `spent` gives them."""
-    validated: int | None = None
-    """Step of the last validation; None in checkpoints that do not say."""
+    validated: int = 0
+    """Step of the last validation."""
     precision: str = ""
     """Of matrix products, `fp32` or `bf16`; empty in checkpoints that do not say."""
     characters: dict[str, Any] = field(default_factory=dict)
@@ -51,11 +51,11 @@ class Checkpoint:
     """What was changed where the training was resumed: `after_pairs`, the new values by their keys, and in `was` the
     values before. Where its network was averaged with others, `averaged` lists them."""
     operations: float | None = None
-    """Floating-point operations of this training so far (`cost`); None in checkpoints that do not say."""
+    """Floating-point operations of this training so far, without the optimizer's; None in old checkpoints."""
     meshes: dict[str, Any] = field(default_factory=dict)
     """Layout, numbers and checksum of the registered meshes trained on (`RegisteredMeshes.facts`), if any."""
-    samples: int | None = None
-    """Parts of batches so far (`TrainingRun.samples`); None in checkpoints that do not say."""
+    samples: int = 0
+    """Parts of batches so far: their number may change where a training is resumed."""
 
     def spent(self) -> dict[str, int | float]:
         """Give the time, the pairs and, if known, the operations of this training so far."""
@@ -67,6 +67,11 @@ class Checkpoint:
         """Pairs of this training so far and of those before it."""
         return int(sum(stage["pairs"] for stage in (self.spent(), *self.before)))
 
+    def operations_spent(self) -> float:
+        """Sum the operations of this training and of those before it; where not known, with this configuration."""
+        stages = (self.spent(), *self.before)
+        return sum(stage.get("operations") or operations_of(self.config, int(stage["pairs"])) for stage in stages)
+
     def weights(self) -> dict[str, Tensor]:
         """Give the weights to use: the moving average if there is one."""
         prefix = "ema." if any(k.startswith("ema.") for k in self.tensors) else "model."
@@ -75,7 +80,7 @@ class Checkpoint:
 
 def save(path: Path, checkpoint: Checkpoint) -> None:
     """Write a checkpoint whole or not at all."""
-    position = {f.name: getattr(checkpoint, f.name) for f in dataclasses.fields(checkpoint)}
+    position = {f.name: getattr(checkpoint, f.name) for f in dataclasses.fields(Checkpoint)}
     del position["config"], position["tensors"]
     header = {
         "config": json.dumps(dataclasses.asdict(checkpoint.config)),
@@ -103,6 +108,8 @@ def load(path: Path) -> Checkpoint:
     if position.pop("version", 1) != VERSION:
         position |= {"best": float("inf"), "metrics": {}}
     position |= {key: tuple(position.get(key, ())) for key in ("before", "changes")}
+    # Old checkpoints do not say these.
+    position = {"validated": position["step"], "samples": position["step"] * config.accumulate} | position
     tensors = {key: value.float() if value.is_floating_point() else value for key, value in tensors.items()}
     return Checkpoint(config, tensors=tensors, **position)
 
@@ -169,8 +176,8 @@ def resumable(config: TrainConfig) -> list[str]:
 
 def changes_at_resume(state: Checkpoint, config: TrainConfig, user_data: UserData | None) -> list[dict[str, Any]]:
     """List what a resumed training changes: nothing, or one entry of `Checkpoint.changes`."""
-    differing = [key for key in resumable(config) if attrgetter(key)(config) != attrgetter(key)(state.config)]
-    changed, was = ({key: attrgetter(key)(one) for key in differing} for one in (config, state.config))
+    values = [{key: attrgetter(key)(one) for key in resumable(config)} for one in (config, state.config)]
+    changed, was = ({k: v for k, v in one.items() if values[0][k] != values[1][k]} for one in values)
     if user_data and "clips" in user_data.facts and "clips" not in state.characters:
         changed["clips"] = user_data.facts["clips"]["makers"]
     return [{"after_pairs": state.step * config.batch, **changed, "was": was}] if changed else []

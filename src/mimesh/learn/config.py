@@ -87,7 +87,6 @@ def config_differences(here: TrainConfig, there: TrainConfig, of: Sequence[str] 
 
 
 def _flat(values: dict[str, Any]) -> dict[str, str]:
-    """Give each value of nested dictionaries the key that `--set` has for it, and the text."""
     flat: dict[str, str] = {}
     for key, value in values.items():
         if isinstance(value, dict):
@@ -125,7 +124,6 @@ def recorded_config(values: dict[str, Any], where: str) -> TrainConfig:
 
 
 def _known(kind: type, values: dict[str, Any]) -> dict[str, Any]:
-    """Keep the values that a dataclass has."""
     return {key: value for key, value in values.items() if key in {field.name for field in dataclasses.fields(kind)}}
 
 
@@ -135,7 +133,6 @@ def options_of(network: str) -> type[DataConfig]:
 
 
 def _build(kind: type, values: Any, where: str) -> Any:
-    """Build a dataclass from a dictionary, dataclasses within it included."""
     if not isinstance(values, dict):
         raise InputError(f"{where}: expected keys and values, found {values!r}")
     hints = typing.get_type_hints(kind)

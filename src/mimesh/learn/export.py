@@ -23,7 +23,6 @@ from ..io.atomic import together, whole_file, written
 from . import checkpoint
 from .checkpoint import Checkpoint
 from .config import recorded_config
-from .cost import operations_spent
 from .data.characters import CharacterOptions
 from .data.endless import PeopleOptions
 from .models import find_task
@@ -126,7 +125,7 @@ def make_card(out: Path, path: Path, trained: checkpoint.Checkpoint) -> dict[str
         "hardware": header["hardware"],
         **({"precision": trained.precision} if trained.precision else {}),
         **trained.spent(),
-        "pflop": float(f"{operations_spent(trained) / 1e15:.3g}"),
+        "pflop": float(f"{trained.operations_spent() / 1e15:.3g}"),
         **({"before": list(trained.before)} if trained.before else {}),
         **({"characters": trained.characters} if trained.characters else {}),
         **({"meshes": trained.meshes} if trained.meshes else {}),
@@ -176,16 +175,11 @@ def to_onnx(interface: OnnxInterface) -> onnx.ModelProto:
         assert program is not None
         # Constants are computed in advance from numbers, not from weights: those keep their names.
         onnxscript.optimizer.optimize(program.model, input_size_limit=2, output_size_limit=64)
-    return without_traces(program.model_proto)
-
-
-def without_traces(network: onnx.ModelProto) -> onnx.ModelProto:
-    """Remove what the exporter writes about the source files that each operation came from."""
-    graph = network.graph
+    graph = program.model_proto.graph  # without what says from which source files each operation came
     for thing in (graph, *graph.node, *graph.value_info, *graph.input, *graph.output, *graph.initializer):
         del thing.metadata_props[:]
         thing.ClearField("doc_string")
-    return network
+    return program.model_proto
 
 
 def compress(network: onnx.ModelProto, bits: int = 16) -> onnx.ModelProto:
@@ -245,8 +239,6 @@ def load_exported(path: Path) -> tuple[nn.Module, Checkpoint]:
         config,
         step=pairs // config.batch,
         seconds=seconds,
-        best=float("inf"),
-        metrics={},
         tensors={f"model.{name}": tensor for name, tensor in model.state_dict().items()},
         before=tuple(card.get("before", ())),
         operations=card.get("operations"),

@@ -8,7 +8,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, fields
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import Any, TextIO
@@ -17,14 +17,14 @@ import torch
 from torch import Tensor, nn
 from torch.utils.tensorboard import SummaryWriter
 
+from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.printable import say
 from . import checkpoint
-from .cost import described_cost, operations_of, training_operations
-from .data.user_data import refuse_other_data
-from .models import find_task
+from .checkpoint import Checkpoint
+from .models import find_task, operations_of
 from .optimizers import COMPILE_OPTIONS, DTYPES, choose_precision, make_optimizers, schedule
-from .task import BatchSource, Task, TrainConfig, UserData, batches_of
+from .task import BatchSource, Task, TrainConfig, UserData, batches_of, training_operations
 from .validation import Validation
 
 SAVE_SECONDS = 60.0
@@ -52,10 +52,6 @@ def train(
     Args:
         max_minutes: wall-clock time, counted from this call.
         user_data: what the user brings, where the configuration asks for it.
-
-    Raises:
-        InputError: the user's data are not those of the training so far, or the batch cannot be divided.
-        KeyboardInterrupt: after the checkpoint, where SIGINT or SIGTERM ended the training.
     """
     folder.mkdir(parents=True, exist_ok=True)
     with StopRequest(max_minutes) as stop:
@@ -99,11 +95,10 @@ def run_to_end(run: TrainingRun, validation: Validation, folder: Path, log: Trai
     run.save(last)
 
 
-@dataclass
-class TrainingRun:
-    """The state of a running training."""
+@dataclass(kw_only=True)
+class TrainingRun(Checkpoint):
+    """A running training, which is where its checkpoint would be; `tensors` are filled to save it."""
 
-    config: TrainConfig
     task: Task
     model: nn.Module
     step_model: nn.Module
@@ -114,25 +109,8 @@ class TrainingRun:
     source: BatchSource
     reason: str
     """Why `task.precision` was chosen, in words."""
-    step: int = 0
-    seconds: float = 0.0
-    """Spent in steps, by `clock`."""
-    best: float = float("inf")
-    """Lowest validation figure so far."""
-    saved: float = 0.0
+    saved: float = field(default_factory=time.monotonic)
     """Time of the last checkpoint (`time.monotonic`)."""
-    metrics: dict[str, float] | None = None
-    """Validation figures of the current weights; None once they have changed."""
-    validated: int = 0
-    """Step of the last validation."""
-    before: tuple[dict[str, int | float], ...] = ()
-    """Trainings whose network this one began with."""
-    changes: tuple[dict[str, Any], ...] = ()
-    """What was changed where the training was resumed, as in `Checkpoint`."""
-    operations: float = 0.0
-    """Floating-point operations so far, without those of the optimizer."""
-    samples: int = 0
-    """Parts of batches so far: their number may change where a training is resumed."""
 
     @classmethod
     def start(cls, config: TrainConfig, folder: Path, user_data: UserData | None = None) -> TrainingRun:
@@ -140,9 +118,18 @@ class TrainingRun:
         config.check(str(folder))
         device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         last = folder / "last.safetensors"
-        state = checkpoint.load(last) if last.exists() else None
-        before = state.precision if state else ""
-        precision, reason = choose_precision(config.precision, device, before)
+        state = checkpoint.load(last) if last.exists() else Checkpoint(config, operations=0.0)
+        for part, facts in {"characters": state.characters, "meshes": state.meshes}.items():
+            if facts and not (user_data and user_data.part == part and user_data.continues(facts)):
+                what = "characters and clips" if "clips" in facts else part
+                names = [maker for whose in (facts, facts.get("clips", {})) for maker in whose.get("makers", ())]
+                if part == "meshes":
+                    names = [f"{facts['layout']}, {facts['meshes']:,} of {facts['people']} people"]
+                raise InputError(
+                    f"{folder}: expected the {what} of the training so far ({', '.join(names)}), found others; "
+                    f"begin a new training with --weights {folder / 'last.safetensors'}"
+                )
+        precision, reason = choose_precision(config.precision, device, state.precision)
         torch.manual_seed(config.seed)
         task = find_task(config.network)(config, device, precision, user_data)
         model = task.make_model().to(device)
@@ -150,22 +137,20 @@ class TrainingRun:
         optimizers = make_optimizers(model, config, device, DTYPES[precision])
         source = batches_of(task, config.seed)
         step_model: Any = torch.compile(model, options=COMPILE_OPTIONS) if config.compile else model
-        if state:
-            refuse_other_data(user_data, {"characters": state.characters, "meshes": state.meshes}, folder)
         if config.compile:  # takes up to a minute, which is no training
             task.loss(step_model, source.batch(config.batch // config.accumulate, 0), 0).backward()
             model.zero_grad(set_to_none=True)
-        run = cls(config, task, model, step_model, ema, optimizers, source, reason, saved=time.monotonic())
-        if state:
+        if state.tensors:
             checkpoint.unpack(state, model, ema, optimizers)
-            run.step, run.seconds, run.best, run.before = state.step, state.seconds, state.best, state.before
-            run.metrics = state.metrics or None
-            run.validated = state.step if state.validated is None else state.validated
-            run.changes = (*state.changes, *checkpoint.changes_at_resume(state, config, user_data))
-            run.samples = state.step * state.config.accumulate if state.samples is None else state.samples
-            spent = state.operations  # not in checkpoints of earlier versions
-            run.operations = operations_of(state.config, state.step * config.batch) if spent is None else spent
-        return run
+        position = {of.name: getattr(state, of.name) for of in fields(Checkpoint)}
+        position |= {"config": config, "tensors": {}, "precision": precision}
+        position["changes"] += tuple(checkpoint.changes_at_resume(state, config, user_data))
+        if state.operations is None:
+            position["operations"] = operations_of(state.config, state.step * config.batch)
+        if user_data:
+            position[user_data.part] = user_data.facts
+        parts = {"task": task, "model": model, "step_model": step_model, "ema": ema, "optimizers": optimizers}
+        return cls(**position, **parts, source=source, reason=reason)
 
     def share(self) -> float:
         """Give how much of the training is done: 0 at the start, 1 at its end."""
@@ -210,8 +195,8 @@ class TrainingRun:
             torch._foreach_lerp_(list(self.ema.values()), [current[name] for name in self.ema], 1.0 - config.ema)  # pyright: ignore[reportPrivateImportUsage]
         self.step += 1
         self.samples += parts
-        self.operations += training_operations(self.task, self.model, config.batch)
-        self.metrics = None
+        self.operations = (self.operations or 0.0) + training_operations(self.task, self.model, config.batch)
+        self.metrics = {}
         self.seconds += clock(self.task.device) - started
         return torch.stack(losses).mean()
 
@@ -240,12 +225,43 @@ class TrainingRun:
     def save(self, path: Path) -> None:
         """Write a checkpoint."""
         self.saved = time.monotonic()
-        tensors = checkpoint.pack(self.model, self.ema, self.optimizers)
-        position = (self.step, self.seconds, self.best, self.metrics or {}, tensors, self.before, self.validated)
-        user_data = {self.task.user_data.part: self.task.user_data.facts} if self.task.user_data else {}
-        rest = {"changes": self.changes, "operations": self.operations, "samples": self.samples, **user_data}
-        state = checkpoint.Checkpoint(self.config, *position, self.task.precision, **rest)
-        checkpoint.save(path, state)
+        self.tensors = checkpoint.pack(self.model, self.ema, self.optimizers)
+        checkpoint.save(path, self)
+        self.tensors = {}
+
+
+def described_cost(run: TrainingRun) -> str:
+    """Say what the training takes: arithmetic of a step and of the whole, and memory."""
+    config, weights = run.config, sum(parameter.numel() for parameter in run.model.parameters())
+    step, whole = (training_operations(run.task, run.model, pairs) for pairs in (config.batch, config.pairs))
+    part = config.batch // config.accumulate
+    kept = activation_bytes(run.task, run.model, run.source) * part
+    in_all = "" if config.minutes else f", {whole / 1e15:.3g} PFLOP in all"
+    return (
+        f"{weights / 1e6:.3g} M weights; a step of {config.batch} pairs is {step / 1e12:.3g} TFLOP{in_all}; "
+        f"a part of {part} pairs keeps {kept / 2**30:.3g} GiB for its gradient"
+    )
+
+
+def activation_bytes(task: Task, model: nn.Module, source: BatchSource) -> int:
+    """Count the bytes that the forward pass keeps of each pair for the backward pass: of two pairs, less those of one.
+
+    A part of a batch needs as many times that as it has pairs. Weights, and the copies of them in 16 bits that matrix
+    products of that precision keep once for all pairs, are not among them.
+    """
+    saved = []
+    for size in (1, 2):
+        kept: dict[int, int] = {}
+
+        def keep(tensor: Tensor, kept: dict[int, int] = kept) -> Tensor:
+            kept[tensor.untyped_storage().data_ptr()] = tensor.untyped_storage().nbytes()
+            return tensor
+
+        with torch.autograd.graph.saved_tensors_hooks(keep, lambda tensor: tensor):
+            loss = task.loss(model, source.batch(size, 0), 0)
+        del loss
+        saved.append(sum(kept.values()))
+    return saved[1] - saved[0]
 
 
 def clock(device: torch.device) -> float:
@@ -332,7 +348,7 @@ class TrainingLog:
         if not self.losses:
             return
         loss = torch.stack(self.losses).mean().item()
-        seconds, operations = self.run.seconds - self.seconds, self.run.operations - self.operations
+        seconds, operations = self.run.seconds - self.seconds, (self.run.operations or 0.0) - self.operations
         rate = len(self.losses) * self.run.config.batch / seconds
         figures = {"loss": loss, "pairs_per_s": rate, "tflops": operations / seconds / 1e12}
         figures["learning_rate"] = self.run.optimizers[0].param_groups[0]["lr"]
@@ -341,7 +357,7 @@ class TrainingLog:
 
     def _begin(self) -> None:
         self.losses: list[Tensor] = []
-        self.time, self.seconds, self.operations = time.monotonic(), self.run.seconds, self.run.operations
+        self.time, self.seconds, self.operations = time.monotonic(), self.run.seconds, self.run.operations or 0.0
 
     def write(self, kind: str, figures: dict[str, float]) -> None:
         """Write one line of figures."""

@@ -204,7 +204,12 @@ class MimeNetwork(nn.Module):
     def __init__(self, config: MimeConfig, body: RiggedBody) -> None:
         super().__init__()
         self.config, self.parents, self.body = config, body.parents, body
-        rest_joints, surface_centres = _rest_pose(body)
+        centre = body.vertices.mean(axis=0)
+        scale = np.sqrt(np.square(body.vertices - centre).sum(axis=1).mean())
+        share = body.weights / np.maximum(body.weights.sum(axis=0), 1e-9)
+        surface = share.T @ body.vertices - body.joints
+        surface_centres = torch.from_numpy(surface / scale).float()  # of what each joint moves, relative to it
+        rest_joints = torch.from_numpy((body.joints - centre) / scale).float()
         self.register_buffer("rest_joints", rest_joints, persistent=False)
         self.register_buffer("octaves", 2.0 ** torch.arange(OCTAVES) * math.pi / 2, persistent=False)
         c, joints = config.width, len(body.parents)
@@ -224,7 +229,9 @@ class MimeNetwork(nn.Module):
         centre = points.mean(1, keepdim=True)
         scale = (points - centre).square().sum(-1, keepdim=True).mean(1, keepdim=True).sqrt()
         x = (points - centre) / scale
-        features = self._point_features(x, normals)
+        waves = (x[..., None] * self.octaves).flatten(-2)
+        h = self.embed(torch.cat([x, normals, waves.sin(), waves.cos()], -1))
+        features = rms_normalize(h + self.mix(F.relu(h)))
         tokens = self.tokens.expand(x.shape[0], -1, -1)
         for block in self.blocks:
             tokens = block(tokens, features)
@@ -282,11 +289,6 @@ class MimeNetwork(nn.Module):
         mesh = of_points * points + of_tokens * (self.config.latents + joints) + of_near * joints * near
         head = _count(self.skinning_head.geometry, self.skinning_head.hidden)
         return 2.0 * (2 * mesh + head * joints * vertices)
-
-    def _point_features(self, x: Float[Tensor, "B N 3"], normals: Float[Tensor, "B N 3"]) -> Float[Tensor, "B N C"]:
-        waves = (x[..., None] * self.octaves).flatten(-2)
-        h = self.embed(torch.cat([x, normals, waves.sin(), waves.cos()], -1))
-        return rms_normalize(h + self.mix(F.relu(h)))
 
 
 @dataclass(frozen=True)
@@ -449,15 +451,6 @@ def _count(*modules: nn.Module) -> int:
     return sum(p.numel() for module in modules for p in module.parameters())
 
 
-def _rest_pose(body: RiggedBody) -> tuple[Float[Tensor, "J 3"], Float[Tensor, "J 3"]]:
-    """Give joints at rest, and the centre of the surface that each moves, relative to it, in units of the spread."""
-    centre = body.vertices.mean(axis=0)
-    scale = np.sqrt(np.square(body.vertices - centre).sum(axis=1).mean())
-    share = body.weights / np.maximum(body.weights.sum(axis=0), 1e-9)
-    surface = share.T @ body.vertices - body.joints
-    return torch.from_numpy((body.joints - centre) / scale).float(), torch.from_numpy(surface / scale).float()
-
-
 @dataclass(frozen=True)
 class SurfaceBatch:
     """B pairs in metres: exact surfaces, and what the network is given of them, which may be damaged."""
@@ -505,10 +498,23 @@ class SurfaceSource:
         if self.config.kind in TABLE_KINDS:
             exact = tuple((mesh.points, mesh.normals) for mesh in (identity, driving))
             return SurfaceBatch(identity, driving, truth, exact)
-        return SurfaceBatch(identity, driving, truth, self._damage(identity, driving, rng))
+        # Of a share of the driving meshes, only the points that face one side, repeated.
+        size = len(driving.points)
+        angle = 2 * math.pi * uniform(rng, size, 1, 1)
+        side = torch.cat([angle.sin(), torch.zeros_like(angle), angle.cos()], -1)
+        hidden = ((driving.normals * side).sum(-1) <= 0) & (uniform(rng, size, 1, 1)[..., 0] < ONE_SIDED)
+        index = repeat_visible(hidden)
+        noise = normal(rng, *driving.points.shape)
+        noisy = gather_points(driving.points, index) + MAX_NOISE * uniform(rng, size, 1, 1).square() * noise
+        normals = gather_points(driving.normals, index)
+        meshes = ((identity.points, identity.normals), (noisy, normals))
+        inputs = tuple(
+            (points, normals * (uniform(rng, size, 1, 1) >= share))
+            for (points, normals), share in zip(meshes, WITHOUT_NORMALS, strict=True)
+        )
+        return SurfaceBatch(identity, driving, truth, inputs)
 
     def _people(self, size: int, rng: torch.Generator) -> tuple[PosedSurface, PosedSurface, PosedSurface]:
-        """Make identity, driving mesh and truth of pairs of the shipped body's people."""
         shapes, poses, touching = self.people.pairs(size, rng)
         people = self._dress(shapes, touching, rng)
         missing = (0.0, 0.0) if self.config.kind in TABLE_KINDS else MISSING
@@ -517,7 +523,6 @@ class SurfaceSource:
         return identity, driving, self.surface.posed(people[0], poses[1], index[0])
 
     def _figures(self, size: int, rng: torch.Generator) -> tuple[PosedSurface, PosedSurface, PosedSurface]:
-        """Make the same of pairs of characters."""
         assert isinstance(self.people, EndlessPeople)
         return self.figures.draw(self.people.pairs(size, rng, self.config.character_limits)[1], rng)
 
@@ -533,26 +538,6 @@ class SurfaceSource:
             return plain
         drawn = [self.dressed.draw(len(touching[0]), rng, self.config.low_poly) for _ in shapes]
         return [one.where(some, other) for one, some, other in zip(plain, touching, drawn, strict=True)]
-
-    def _damage(self, identity: PosedSurface, driving: PosedSurface, rng: torch.Generator):
-        """Add noise to driving points, leave out one side of some and the normals of others."""
-        size, index = len(driving.points), self._one_sided(driving.normals, rng)
-        noise = normal(rng, *driving.points.shape)
-        noisy = gather_points(driving.points, index) + MAX_NOISE * uniform(rng, size, 1, 1).square() * noise
-        normals = gather_points(driving.normals, index)
-        meshes = ((identity.points, identity.normals), (noisy, normals))
-        return tuple(
-            (points, normals * (uniform(rng, size, 1, 1) >= share))
-            for (points, normals), share in zip(meshes, WITHOUT_NORMALS, strict=True)
-        )
-
-    def _one_sided(self, normals: Float[Tensor, "B N 3"], rng: torch.Generator) -> Int[Tensor, "B N"]:
-        """Choose all points, or for a share of the meshes those that face one side, repeated up to N."""
-        size = len(normals)
-        angle = 2 * math.pi * uniform(rng, size, 1, 1)
-        side = torch.cat([angle.sin(), torch.zeros_like(angle), angle.cos()], -1)
-        hidden = ((normals * side).sum(-1) <= 0) & (uniform(rng, size, 1, 1)[..., 0] < ONE_SIDED)
-        return repeat_visible(hidden)
 
 
 def mime_loss(model: MimeNetwork, batch: SurfaceBatch, weights: MimeLossConfig) -> Float[Tensor, ""]:

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import torch
+
 from ..core.errors import InputError, did_you_mean
-from .task import Task
+from .task import Task, TrainConfig, training_operations
 
 NETWORKS = ("npt", "aniformer", "mime")
 """The networks that can be trained."""
@@ -24,3 +26,9 @@ def find_task(network: str) -> type[Task]:
                 + did_you_mean(network, NETWORKS)
             )
     return task
+
+
+def operations_of(config: TrainConfig, pairs: int) -> float:
+    """Count the operations of a training from its configuration alone."""
+    task = find_task(config.network)(config, torch.device("cpu"))
+    return training_operations(task, task.make_model(), pairs)

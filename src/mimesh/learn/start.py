@@ -2,31 +2,29 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
+from ..bodies import load_body
 from ..core.errors import InputError
+from ..core.frame_buffer import Progress
 from ..core.options import TrainingFiles
 from . import checkpoint
 from .config import changed_config, config_differences, load_config, options_of
-from .cost import operations_of
-from .data.characters import CharacterOptions
-from .data.user_data import ProgressBar, check_files, mesh_settings, read_user_data
+from .data.characters import CharacterOptions, TrainingCharacters, TrainingClips
+from .data.registered import MeshOptions, RegisteredMeshes
 from .export import load_start
 from .loop import TrainingRun, train
-from .models import find_task
-from .task import TrainConfig, UserData
+from .models import find_task, operations_of
+from .task import DataConfig, TrainConfig, UserData
 
+ProgressBar = Callable[[str], AbstractContextManager[Progress | None]]
+"""Makes a progress bar with a title."""
 NOTHING = TrainingFiles()
 CHARACTER_SHARE = 0.5
 """Share of every batch that characters of a folder have, unless the configuration says otherwise."""
-
-
-def no_bar(title: str) -> contextlib.AbstractContextManager[None]:
-    """Show no progress."""
-    return contextlib.nullcontext()
 
 
 def train_command(
@@ -38,7 +36,7 @@ def train_command(
     changes: Sequence[str] = (),
     weights: Path | None = None,
     brought: TrainingFiles = NOTHING,
-    bar: ProgressBar = no_bar,
+    bar: ProgressBar = lambda title: nullcontext(),
 ) -> Path:
     """Do what `mimesh train` does, and give the folder with checkpoints and logs.
 
@@ -126,3 +124,78 @@ def begin_with(config: TrainConfig, weights: Path, folder: Path, user_data: User
     counted = operations_of(trained.config, int(spent["pairs"]))  # older checkpoints do not say
     run.before = (*trained.before, {"operations": counted, **spent})
     run.save(folder / "last.safetensors")
+
+
+def mesh_settings(brought: TrainingFiles) -> list[str]:
+    """Give the changes of a configuration that a folder of meshes stands for."""
+    if brought.meshes is None:
+        return []
+    pattern = [f"data.pattern={brought.pattern}"] if brought.pattern else []
+    return ["data.kind=meshes", "data.recombine=0", "data.mix_people=0", *pattern]
+
+
+def check_files(brought: TrainingFiles, network: str, options: type[DataConfig]) -> None:
+    """Check that a model, whose data have some options, takes what is brought, and that it goes together."""
+    if brought.pattern and brought.meshes is None:
+        raise InputError(f"--pattern {brought.pattern}: expected it with --meshes, found it without; name the folder")
+    if brought.meshes is not None and (brought.characters or brought.clips):
+        raise InputError("--meshes: expected it without --characters and --clips, found both; leave one out")
+    of_characters = issubclass(options, CharacterOptions)
+    takes = {
+        "meshes": issubclass(options, MeshOptions),
+        "characters": of_characters,
+        "clips": of_characters and bool(options.clip_kinds),
+    }
+    for option, taken in takes.items():
+        if getattr(brought, option) is not None and not taken:
+            raise InputError(f"--{option}: expected a model that is trained on them, found {network}; leave it out")
+
+
+def read_user_data(config: TrainConfig, brought: TrainingFiles, bar: ProgressBar) -> UserData | None:
+    """Read the data that a configuration asks for; None for none.
+
+    Raises:
+        InputError: a folder is needed and not given, or given and not needed, or it has nothing to train on.
+    """
+    data = config.data
+    check_files(brought, config.network, type(data))
+    if isinstance(data, MeshOptions) and data.kind == "meshes":
+        if brought.meshes is None:
+            raise InputError(
+                "--meshes: expected the folder of meshes that this training is on, found none; add --meshes FOLDER"
+            )
+        with bar("reading meshes") as progress:
+            return RegisteredMeshes.read(brought.meshes, data, config.window, progress)
+    if brought.meshes is not None:
+        raise InputError(
+            f"--meshes {brought.meshes}: expected a training on meshes, found one on {data.kind}; leave it out"
+        )
+    return read_characters(data, brought, bar) if isinstance(data, CharacterOptions) else None
+
+
+def read_characters(data: CharacterOptions, brought: TrainingFiles, bar: ProgressBar) -> TrainingCharacters | None:
+    """Read the characters that a configuration asks for, and the clips of a folder; None for neither."""
+    folder, clips = brought.characters, brought.clips
+    if clips is not None and data.kind not in data.clip_kinds:
+        raise InputError(f"--clips: expected data.kind {', '.join(data.clip_kinds)}, found {data.kind}; leave it out")
+    if data.leave_out and folder is None:
+        raise InputError(f"--leave-out {data.leave_out[0]}: expected it with --characters, found it without")
+    if bool(data.characters) != (folder is not None):
+        needed, given = ("a folder", "none") if folder is None else ("none", str(folder))
+        raise InputError(
+            f"--characters: expected {needed} with data.characters {data.characters:g}, found {given}; "
+            "it is the share of the training that characters of a folder have"
+        )
+    if folder is None and clips is None:
+        return None
+    body = load_body(data.body)
+    found = TrainingCharacters.none(body)
+    if folder is not None:
+        with bar("reading characters") as progress:
+            found = TrainingCharacters.read(
+                folder, body, leave_out=data.leave_out, low_poly=data.with_low_poly, progress=progress
+            )
+    if clips is not None:
+        with bar("reading clips") as progress:
+            found = found.with_clips(TrainingClips.read(clips, body, progress))
+    return found

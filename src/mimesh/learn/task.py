@@ -7,7 +7,7 @@ from abc import ABC, abstractmethod
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any, ClassVar, Generic, Literal, Protocol, TypeVar, runtime_checkable
+from typing import Any, ClassVar, Generic, Literal, TypeVar
 
 import torch
 from torch import Tensor, nn
@@ -60,7 +60,7 @@ class TrainConfig:
     """Everything a training depends on besides the code; each model adds fields. The defaults are the papers'."""
 
     network: str = ""
-    """Name of the model, one of `models.NETWORKS`."""
+    """Name of the model, one of NETWORKS."""
     model: Any = None
     """Options of the network."""
     data: DataConfig = field(default_factory=DataConfig)
@@ -116,34 +116,10 @@ class TrainConfig:
             )
 
 
-@runtime_checkable
-class UserData(Protocol):
-    """What the user brings to a training: characters and clips, or registered meshes (`data.user_data`)."""
-
-    part: ClassVar[str]
-    """Where checkpoints and cards have the facts."""
-
-    @property
-    def facts(self) -> dict[str, Any]:
-        """Whose data they are and their checksum."""
-        ...
-
-    def described(self) -> str:
-        """Say in words whose the data are and what cannot be used."""
-        ...
-
-    def continues(self, facts: dict[str, Any]) -> bool:
-        """Tell whether a training with some facts may go on with these data."""
-        ...
-
-
-@runtime_checkable
-class BatchSource(Protocol):
-    """Makes training batches."""
-
-    def batch(self, size: int, step: int) -> Any:
-        """Make the pairs of a step; a pure function of the source's seed and `step`."""
-        ...
+UserData = Any
+"""What the user brings to a training: `characters.TrainingCharacters` or `registered.RegisteredMeshes`."""
+BatchSource = Any
+"""Makes training batches: `batch(size, step)` is a pure function of its seed and the step."""
 
 
 @dataclass(frozen=True)
@@ -275,3 +251,11 @@ def batches_of(task: Task, seed: int) -> BatchSource:
     one = source.batch(1, 0)
     flat = all(isinstance(getattr(one, field.name), (Tensor, float)) for field in dataclasses.fields(one))
     return BatchesAhead(source) if flat else source
+
+
+def training_operations(task: Task, model: nn.Module, pairs: int) -> float:
+    """Count floating-point operations of training on so many pairs: three times the forward pass.
+
+    The optimizer's are not counted.
+    """
+    return 3.0 * pairs * task.flops_per_pair(model)

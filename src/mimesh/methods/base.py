@@ -46,32 +46,6 @@ class Method(Protocol):
         ...
 
 
-@runtime_checkable
-class ShapeMethod(Method, Protocol):
-    """A network of the papers, trained on centred meshes: its results have no place, and some have no size."""
-
-    @property
-    def target_scale(self) -> str:
-        """Unit of the shapes: "truth", the radius of the true result; else the identity's."""
-        ...
-
-    def shapes(self, identity: Mesh, driving: Clip) -> Shapes:
-        """As `Method.prepare`; the function that is returned gives the network's own results.
-
-        The origin is where the training had the centre of the true result's bounding box.
-        """
-        ...
-
-
-@runtime_checkable
-class SizedMethod(ShapeMethod, Protocol):
-    """A network that may need the sizes of the meshes, which normalised ones do not have."""
-
-    def with_sizes(self, identity: tuple[str, float], driving: tuple[str, float]) -> SizedMethod:
-        """Return this method for two meshes, given by name and radius in the unit of the files."""
-        ...
-
-
 def with_root_motion(
     frames: Iterable[Float[np.ndarray, "U 3"]], shapes: Shapes, name: str
 ) -> Iterator[Float[np.ndarray, "V 3"]]:
@@ -79,9 +53,6 @@ def with_root_motion(
 
     Driving frames are in the driving's normalisation, where its first frame has radius 1. The scale is the radius of
     the first result, so that a large identity moves as far as a small one in multiples of its own size.
-
-    Raises:
-        InputError: all vertices of a frame of the clip `name` are at one point.
     """
     scale = None
     # Shapes may be made of windows, which read ahead; `tee` keeps the frames between the two.

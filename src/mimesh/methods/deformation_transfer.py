@@ -133,7 +133,6 @@ class DeformationTransfer:
 
 
 def _checked(reference: Mesh | None, driving: Mesh) -> Mesh:
-    """Return the reference, checking that it has the driving mesh's topology and unit."""
     if reference is None:
         raise InputError(
             f"{driving.name}: expected the same subject in the identity's pose beside it for model "
@@ -145,7 +144,14 @@ def _checked(reference: Mesh | None, driving: Mesh) -> Mesh:
             f"{len(driving.faces)}), found others ({len(reference.vertices)} and {len(reference.faces)}); "
             "export both poses from one file"
         )
-    size, reference_size = (_edge_length(mesh) for mesh in (driving, reference))
+    size, reference_size = (
+        (
+            float(
+                np.linalg.norm(mesh.vertices[mesh.faces] - mesh.vertices[np.roll(mesh.faces, 1, axis=1)], axis=-1).sum()
+            )
+        )
+        for mesh in (driving, reference)
+    )
     if not size / MAX_SIZE_RATIO <= reference_size <= size * MAX_SIZE_RATIO:
         raise InputError(
             f"{option('reference')}: expected the size of {driving.name}, found {reference_size / size:.3g} times "
@@ -153,13 +159,6 @@ def _checked(reference: Mesh | None, driving: Mesh) -> Mesh:
             "size; export both poses from one file, in one unit"
         )
     return reference
-
-
-def _edge_length(mesh: Mesh) -> float:
-    """Return the sum of the lengths of all sides of all faces: a size that hardly depends on the pose."""
-    return float(
-        np.linalg.norm(mesh.vertices[mesh.faces] - mesh.vertices[np.roll(mesh.faces, 1, axis=1)], axis=-1).sum()
-    )
 
 
 def vertex_pairs(identity: Mesh, reference: Mesh, markers: Int[np.ndarray, "M 2"] | None) -> Int[np.ndarray, "N 2"]:
@@ -306,32 +305,23 @@ def spanning_ties(points: Float[np.ndarray, "W 3"], joined: Int[np.ndarray, "L 2
     label, ties = component_labels(joined, len(points)), np.zeros((0, 2), np.int64)
     while label.any():
         source = np.flatnonzero(label != np.bincount(label).argmax())
-        nearest, distance = nearest_of_other_label(points, label, source)
+        # Of each point the nearest of another label. Labels that differ do so in some bit: for each bit, it is searched
+        # among the points with the other value. So L labels need about 2 log2 L k-d trees, not L.
+        best, nearest = np.full(len(source), np.inf), np.zeros(len(source), np.int64)
+        for bit in range(int(label.max()).bit_length()):
+            side = label >> bit & 1
+            for value in (0, 1):
+                queries, others = (np.flatnonzero(mask) for mask in (side[source] == value, side != value))
+                distance, index = nearest_points(points[others], points[source[queries]])
+                closer = distance < best[queries]
+                best[queries[closer]], nearest[queries[closer]] = distance[closer], others[index[closer]]
+        distance = best
         order = np.lexsort((source, distance))
         order = order[np.unique(label[source[order]], return_index=True)[1]]  # the shortest pair of each component
         pairs = np.stack([source[order], nearest[order]], axis=1)
         ties = np.concatenate([ties, without_cycles(pairs, distance[order], label)])
         label = component_labels(np.concatenate([joined, ties]), len(points))
     return ties
-
-
-def nearest_of_other_label(
-    points: Float[np.ndarray, "W 3"], label: Int[np.ndarray, " W"], source: Int[np.ndarray, " N"]
-) -> tuple[Int[np.ndarray, " N"], Float[np.ndarray, " N"]]:
-    """Find the nearest point of another label to each source point; return its index and its distance.
-
-    Labels that differ do so in some bit: for each bit, the nearest is searched among the points with the other value.
-    So L labels need about 2 log2 L k-d trees, where a tree for each label would need L.
-    """
-    best, nearest = np.full(len(source), np.inf), np.zeros(len(source), np.int64)
-    for bit in range(int(label.max()).bit_length()):
-        side = label >> bit & 1
-        for value in (0, 1):
-            queries, others = (np.flatnonzero(mask) for mask in (side[source] == value, side != value))
-            distance, index = nearest_points(points[others], points[source[queries]])
-            closer = distance < best[queries]
-            best[queries[closer]], nearest[queries[closer]] = distance[closer], others[index[closer]]
-    return nearest, best
 
 
 def without_cycles(
@@ -374,9 +364,6 @@ def match_by_index(identity: Mesh, reference: Mesh, driving: Mesh) -> tuple[Corn
 
     The order of the matches does not depend on the order of vertices and faces. A thin triangle of the reference is
     replaced by the nearest one that is not thin.
-
-    Raises:
-        InputError: no triangle is left.
     """
     ranks = [canonical_order(mesh.vertices).group for mesh in (identity, reference, driving)]
     identity_corners = canonical_faces(well_shaped_faces(identity), *ranks)
@@ -397,9 +384,6 @@ def match_by_markers(
     The identity is registered onto the reference; then each identity triangle gets its best match in the reference, and
     each reference triangle that faces one of the identity within MAX_DISTANCE is added with that one. So an identity
     triangle may have several matches.
-
-    Raises:
-        InputError: no triangle is left.
     """
     ranked = canonical_order(identity.vertices)
     reference_rank = canonical_order(reference.vertices).group
@@ -411,7 +395,10 @@ def match_by_markers(
     order = np.lexsort((reference_rank[markers[:, 1]], ranked.group[markers[:, 0]]))
     marked, marked_reference = markers[order].T
     vertices, faces = ranked.merge(identity.vertices), ranked.group[identity_corners]
-    positions = scale_onto(reference.vertices, reference.vertices[marked_reference], identity.vertices[marked])
+    # The reference, scaled and shifted so that markers have the centroid and the spread of their targets.
+    targets, places = identity.vertices[marked], reference.vertices[marked_reference]
+    spread = [np.square(points - points.mean(axis=0)).sum() for points in (targets, places)]
+    positions = (reference.vertices - places.mean(axis=0)) * np.sqrt(spread[0] / spread[1]) + targets.mean(axis=0)
     target = positions[reference_corners]
     registered = register(vertices, faces, target, ranked.group[marked], positions[marked_reference])[faces]
     to_reference, _ = matching_triangles(registered, target)
@@ -514,15 +501,6 @@ def matching_triangles(
     return match, found
 
 
-def scale_onto(
-    vertices: Float[np.ndarray, "V 3"], markers: Float[np.ndarray, "M 3"], targets: Float[np.ndarray, "M 3"]
-) -> Float[np.ndarray, "V 3"]:
-    """Scale and shift vertices so that markers have the centroid and the spread of their targets; nothing is turned."""
-    centred, centred_targets = markers - markers.mean(axis=0), targets - targets.mean(axis=0)
-    scale = np.sqrt(np.square(centred_targets).sum() / np.square(centred).sum())
-    return (vertices - markers.mean(axis=0)) * scale + targets.mean(axis=0)
-
-
 def well_shaped_faces(mesh: Mesh) -> Int[np.ndarray, "F 3"]:
     """Return the faces whose gradient is reliable (see MIN_HEIGHT).
 
@@ -553,5 +531,4 @@ def _nearest_centroid(
 
 
 def _normals_of(triangles: Float[np.ndarray, "P 3 3"]) -> Float[np.ndarray, "P 3"]:
-    """Return unit normals of triangles given by their corners."""
     return face_normals(triangles.reshape(-1, 3), np.arange(3 * len(triangles)).reshape(-1, 3))

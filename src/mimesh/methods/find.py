@@ -155,11 +155,7 @@ def check_weights(*models: str) -> None:
 
 
 def moves_joints(model: str) -> bool:
-    """Whether a model moves joints, not vertices: it takes the rigs of the files, and files of joints are written.
-
-    Raises:
-        InputError: as `find_model`.
-    """
+    """Whether a model moves joints, not vertices: it takes the rigs of the files, and files of joints are written."""
     if model in (*NETWORK_OF_BODY.values(), *WITHOUT_NETWORK):
         return model in NETWORK_OF_BODY.values()
     from ..mime.model import Mime
@@ -196,7 +192,6 @@ def find_mime(model: str, seed: int = 0) -> Mime:
 
 
 def _with_other_bodies(mime: Mime, seed: int) -> Mime:
-    """Return the shipped mime with the networks of the other shipped bodies."""
     others = {body: partial(_kept_mime, model, seed) for body, model in NETWORK_OF_BODY.items() if body != mime.body}
     return dataclasses.replace(mime, other_bodies=others)
 
@@ -277,7 +272,6 @@ def find_model(
 
 
 def _other_pairing(pairing: str, model: str) -> InputError:
-    """Return the error of a model that does not pair vertices as it must."""
     return InputError(
         f"{option('pairing', pairing)}: expected a network of npt or aniformer that was trained with "
         f"data.pairing={pairing}, found {model}; leave {option('pairing')} out"

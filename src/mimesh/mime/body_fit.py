@@ -25,8 +25,9 @@ from ..bodies.hands import hand_joints
 from ..bodies.joint_ranges import JointRanges, joint_ranges
 from ..bodies.sampled_body import BodyState, PosedBody, SampledBody
 from ..bodies.sampling import rotvec_to_rotmat
-from ..core.geometry import nearest_points, nearest_rotation
+from ..core.geometry import MIRROR, nearest_points, nearest_rotation
 from ..core.rig import Rig
+from ..core.surface_points import SurfacePoints
 from ..rigs.confidence import limb_joints, mean_angle
 from .joint_targets import JointTargets
 
@@ -172,13 +173,25 @@ def fit_body(
     body = sampled_body(name)
     ranges = joint_ranges(name) if name in REFINED and targets is None else None
     start = rotation if ranges is None else ranges.world(rotation[0], ranges.clipped(rotation))
-    state = body.mean_person(_initial_size(body, joints), joints[0].copy(), start)
+    parents = list(body.parents[1:])
+    predicted, rest = (np.linalg.norm(ends[1:] - ends[parents], axis=1) for ends in (joints, body.joints))
+    long = rest > 0.05  # the median ratio of bones of more than 5 cm is the size to begin with
+    size = float(np.exp(np.median(np.log(np.maximum(predicted[long], 1e-9) / rest[long]))))
+    state = body.mean_person(size, joints[0].copy(), start)
     surface = surface.outward(PosedBody(body, state))
     state, mismatch = _optimise(body, state, Prior(body, state.size, start, joints, targets, ranges), surface)
     if ranges is not None and mismatch < SHIPPED_SHAPE * state.size:
         state, mismatch = _optimise_further(body, state, surface, ranges)
         if others:
-            state, mismatch = _with_searched_limbs(body, state, surface, ranges, others)
+            state = search_limbs(
+                PosedBody(body, state),
+                surface,
+                others,
+                ranges,
+                lambda other: _optimise_further(body, other, surface, ranges)[0],
+            )
+            posed = PosedBody(body, state)
+            mismatch = _mismatch(posed, _matches(posed, surface, OUTLIER_SCALE * LAST_DISTANCE * state.size))
     posed = PosedBody(body, state)
     # Where the body does not have the shape of the surface, its joints are less right than the predicted ones.
     distance = mismatch / state.size
@@ -243,15 +256,16 @@ class BodyFit:
         """Find the nearest point of the fitted body to each of some points of the surface."""
         from scipy.spatial import KDTree
 
-        body = whole_body(self.posed.body.name)
+        body, size = whole_body(self.posed.body.name), self.posed.state.size
         tree = KDTree(PosedBody(body, self.posed.state).points)
         nearest, weights = np.empty(len(points)), np.empty((len(points), body.weights.shape[1]))
         # CHUNK points at a time: the weights of all their neighbours take several times the memory of the result.
         for start in range(0, len(points), CHUNK):
             chunk = slice(start, start + CHUNK)
-            distance, share, index = nearest_shares(tree, points[chunk], self.posed.state.size)
-            nearest[chunk] = distance / self.posed.state.size
-            weights[chunk] = np.einsum("vn,vnj->vj", share, body.weights[index])
+            distance, index = map(np.asarray, tree.query(points[chunk], k=NEAREST))
+            share = 1 / np.maximum(distance, 1e-9 * size) ** 2
+            nearest[chunk] = distance[:, 0] / size
+            weights[chunk] = np.einsum("vn,vnj->vj", share / share.sum(axis=1, keepdims=True), body.weights[index])
         return NearestBody(nearest, weights, body.name)
 
     def blended_weights(self, predicted: Float[np.ndarray, "V J"], nearest: NearestBody) -> Float[np.ndarray, "V J"]:
@@ -279,7 +293,7 @@ class NearestBody:
 
 @dataclass(frozen=True, eq=False)
 class SurfaceSample:
-    """Points of a surface, spread evenly and in random order, so that the first few represent all of it."""
+    """Points of a surface; most are spread evenly and in random order, so that the first few represent all of it."""
 
     points: Float[np.ndarray, "N 3"]
     normals: Float[np.ndarray, "N 3"]
@@ -292,15 +306,30 @@ class SurfaceSample:
 
         return KDTree(self.points)
 
+    @classmethod
+    def of(cls, samples: SurfacePoints, vertices: Float[np.ndarray, "V 3"]) -> SurfaceSample:
+        """Compute samples of a mesh in a frame."""
+        return cls(samples.points(vertices), samples.normals(vertices))
+
+    def __len__(self) -> int:
+        return len(self.points)
+
+    def __getitem__(self, chosen: slice | Bool[np.ndarray, " N"]) -> SurfaceSample:
+        return SurfaceSample(self.points[chosen], self.normals[chosen])
+
+    def mirrored(self) -> SurfaceSample:
+        """Reflect the points at the plane x = 0."""
+        return SurfaceSample(self.points * MIRROR, self.normals * MIRROR)
+
+    def turned(self, turn: Float[np.ndarray, "3 3"]) -> SurfaceSample:
+        """Rotate the points about the origin."""
+        return SurfaceSample(self.points @ turn.T, self.normals @ turn.T)
+
     def outward(self, posed: PosedBody) -> SurfaceSample:
         """Flip all normals if most of them point against those of the nearest points of a posed body."""
         nearest = nearest_points(posed.points, self.points)[1]
         inward = np.median((posed.normals[nearest] * self.normals).sum(axis=1)) < 0
         return replace(self, normals=-self.normals) if inward else self
-
-    def first(self, count: int) -> SurfaceSample:
-        """Reduce to the first `count` points."""
-        return SurfaceSample(self.points[:count], self.normals[:count])
 
     def distance_of(self, points: Float[np.ndarray, "M 3"], size: float) -> Float[np.ndarray, " M"]:
         """Measure how far points are from the surface, in metres of a body of that size."""
@@ -333,15 +362,6 @@ def _distance(
     return np.where(distance < NEAR, along, np.minimum(distance, FAR))
 
 
-def nearest_shares(
-    tree: KDTree, points: Float[np.ndarray, "V 3"], size: float
-) -> tuple[Float[np.ndarray, " V"], Float[np.ndarray, "V N"], Int[np.ndarray, "V N"]]:
-    """Interpolate between the NEAREST vertices of a body of some size: distance, shares and indices of them."""
-    distance, index = map(np.asarray, tree.query(points, k=NEAREST))
-    share = 1 / np.maximum(distance, 1e-9 * size) ** 2
-    return distance[:, 0], share / share.sum(axis=1, keepdims=True), index
-
-
 @cache
 def sampled_body(name: str = "human") -> SampledBody:
     """Return a shipped body as BODY_POINTS points."""
@@ -360,14 +380,6 @@ def _limb_points(name: str) -> dict[str, Bool[np.ndarray, " N"]]:
     body = sampled_body(name)
     joints = limb_joints(body.names, body.parents)
     return {limb: body.weighted_to(indices) for limb, indices in joints.items()}
-
-
-def _initial_size(body: SampledBody, joints: Float[np.ndarray, "J 3"]) -> float:
-    """Median ratio of predicted bone lengths to the body's, over the bones that are longer than 5 cm."""
-    parents = list(body.parents[1:])
-    predicted, rest = (np.linalg.norm(ends[1:] - ends[parents], axis=1) for ends in (joints, body.joints))
-    long = rest > 0.05
-    return float(np.exp(np.median(np.log(np.maximum(predicted[long], 1e-9) / rest[long]))))
 
 
 def _optimise(body: SampledBody, state: BodyState, prior: Prior, surface: SurfaceSample) -> tuple[BodyState, float]:
@@ -413,24 +425,6 @@ def _optimise_further(
         if mismatch > STEADY * before:
             break
     return state, mismatch
-
-
-def _with_searched_limbs(
-    body: SampledBody,
-    state: BodyState,
-    surface: SurfaceSample,
-    ranges: JointRanges,
-    others: Sequence[Float[np.ndarray, "J 3 3"]],
-) -> tuple[BodyState, float]:
-    """Search other poses of the limbs that do not lie on the surface; a fit goes on from what is found."""
-
-    def refined(other: BodyState) -> BodyState:
-        return _optimise_further(body, other, surface, ranges)[0]
-
-    state = search_limbs(PosedBody(body, state), surface, others, ranges, refined)
-    posed = PosedBody(body, state)
-    matches = _matches(posed, surface, OUTLIER_SCALE * LAST_DISTANCE * state.size)
-    return state, _mismatch(posed, matches)
 
 
 def _step(posed: PosedBody, matches: Matches, prior: Prior, expected: float) -> Float[np.ndarray, " U"]:
@@ -597,7 +591,7 @@ def limb_gaps(posed: PosedBody, surface: SurfaceSample) -> dict[str, float]:
         Limb -> sum of both means (metres of the body). The trunk is "trunk".
     """
     size, of_body = posed.state.size, surface.distance_of(posed.points, posed.state.size)
-    nearest, of_surface = surface.first(2 * len(posed.points)).nearest_of(posed.points, size)
+    nearest, of_surface = surface[: 2 * len(posed.points)].nearest_of(posed.points, size)
     masks = {limb: posed.body.weighted_to(joints) for limb, joints in limbs(posed.body.name).items()}
     masks["trunk"] = ~np.any(list(masks.values()), axis=0)
     return {limb: float(of_body[mask].mean() + _mean(of_surface[mask[nearest]])) for limb, mask in masks.items()}
@@ -612,7 +606,6 @@ def limbs(name: str) -> dict[str, list[int]]:
 
 
 def _mean(values: Float[np.ndarray, "*C N"]) -> Float[np.ndarray, "*C"]:
-    """Compute the mean of at least FEWEST values; those that lack are 0."""
     return np.asarray(values.sum(axis=-1) / max(values.shape[-1], FEWEST))
 
 
@@ -648,22 +641,13 @@ def _with_other_limbs(
     kept = [limb for limb in found if after[limb] < GAIN * before[limb]]
     if kept and kept != found:
         back = [j for limb in found if limb not in kept for j in joints_of[limb]]
-        tried = refined(replace(tried, rotation=_turned_back(tried.rotation, state.rotation, back, posed.body.parents)))
+        rotation, before_it = tried.rotation.copy(), state.rotation
+        for j in back:  # parents first: they get the rotation from their parents that they had before
+            parent = posed.body.parents[j]
+            rotation[j] = rotation[parent] @ before_it[parent].T @ before_it[j]
+        tried = refined(replace(tried, rotation=rotation))
         after = limb_gaps(PosedBody(posed.body, tried), surface)
     return tried if kept and sum(after.values()) < sum(before.values()) else None
-
-
-def _turned_back(
-    rotation: Float[np.ndarray, "J 3 3"],
-    before: Float[np.ndarray, "J 3 3"],
-    joints: list[int],
-    parents: tuple[int, ...],
-) -> Float[np.ndarray, "J 3 3"]:
-    """Give some joints, parents first, the rotation from their parents that they had before."""
-    rotation = rotation.copy()
-    for j in joints:
-        rotation[j] = rotation[parents[j]] @ before[parents[j]].T @ before[j]
-    return rotation
 
 
 def _other_pose(
@@ -710,9 +694,8 @@ def _distance_to_surface(
     other body leave uncovered.
     """
     posed, size = limb.posed, limb.posed.state.size
-    sample = surface.first(2 * len(posed.points))
-    uncovered = nearest_points(rest, sample.points)[0] > UNCOVERED * size
-    part = SurfaceSample(sample.points[uncovered], sample.normals[uncovered]).first(MOST)
+    sample = surface[: 2 * len(posed.points)]
+    part = sample[nearest_points(rest, sample.points)[0] > UNCOVERED * size][:MOST]
     _, from_rest = part.nearest_of(rest, size)
 
     def distance(poses: Float[np.ndarray, "C K 3"]) -> Float[np.ndarray, " C"]:

@@ -20,7 +20,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from ..bodies.character_limbs import SIDES
 from ..bodies.hands import HAND_PARENTS, hand_joints
@@ -40,7 +40,7 @@ from ..core.rig import Rig
 from ..core.surface_points import SurfacePoints, generator
 from ..rigs.retarget import Pose, SurfaceMotion
 from .part_tracking import PartTracker, mean_rotation
-from .prediction import CHUNK, NOISY, Denoiser, NetworkPoints, softmax
+from .prediction import CHUNK, NOISY, Denoiser, SurfaceSample, softmax
 
 if TYPE_CHECKING:
     from onnxruntime import InferenceSession
@@ -84,7 +84,7 @@ class HandFinder:
     """Names of the joints of the body's network."""
     seed: int = 0
 
-    def find(self, mesh: WeightedMesh) -> list[FingeredHand]:
+    def find(self, mesh: WeightedMesh) -> list[Fingers]:
         """Find the hands of a mesh that show their fingers."""
         return list(self._fingered(mesh, SIDES, by_vertex=True).values())
 
@@ -100,22 +100,24 @@ class HandFinder:
         """
         mine = self._fingered(identity, SIDES, by_vertex=True)
         theirs = self._fingered(driving(), tuple(mine), by_vertex=False) if mine else {}
-        found = [FoundFingers(mine[side], hand) for side, hand in theirs.items()]
+        found = [(mine[side], fingers) for side, fingers in theirs.items()]
         if not found:
             return []
         tracker = FingerTracker.of(found)
-        moving = tracker.bend_otherwise([hand.identity.fingers for hand in found], motion(tracker.samples))
+        own = np.stack([own.bends for own, _ in found])
+        bends = tracker.bends(motion(tracker.samples))[0]
+        # A rotation that all four fingers have in common does not count: the body's joints of the hand give it too.
+        common = nearest_rotation((bends[..., 3:, :, :] @ own[:, 3:].swapaxes(-1, -2)).sum(axis=-3))
+        thumb = np.broadcast_to(own[:, :3], (*bends.shape[:2], 3, 3, 3))
+        turned = np.concatenate([thumb, common[..., None, :, :] @ own[:, 3:]], axis=2)
+        moving = finger_angles(turned, bends).max(axis=(0, 2)) > DIFFERENT_ABOVE
         return [hand for hand, moves in zip(found, moving, strict=True) if moves]
 
-    def _fingered(self, mesh: WeightedMesh, sides: tuple[str, ...], by_vertex: bool) -> dict[str, FingeredHand]:
+    def _fingered(self, mesh: WeightedMesh, sides: tuple[str, ...], by_vertex: bool) -> dict[str, Fingers]:
         """Find the hands of a mesh that show fingers; weights are predicted by vertex, or else of tracked points."""
         hands = {side: hand for side in sides if (hand := self._hand(mesh, side, by_vertex)) is not None}
         predictions = self.network.predict(list(hands.values()))
-        return {
-            side: FingeredHand(hand, fingers)
-            for (side, hand), fingers in zip(hands.items(), predictions, strict=True)
-            if fingers is not None
-        }
+        return {side: fingers for side, fingers in zip(hands, predictions, strict=True) if fingers is not None}
 
     def _hand(self, mesh: WeightedMesh, side: str, by_vertex: bool) -> Hand | None:
         """Cut a hand out of a mesh; None if it is coarse, noisy, full of holes or missing."""
@@ -129,13 +131,18 @@ class HandFinder:
         if Denoiser.of(part, ranked).folded_share(ranked.merge(part.vertices)) >= NOISY:
             return None
         hand = self.joints.index(f"{side}Hand")
-        if _has_holes(ranked.merge(part.vertices), ranked.group[part.faces], mesh.rig.joints[hand]):
+        distance = np.linalg.norm(ranked.merge(part.vertices) - mesh.rig.joints[hand], axis=1)
+        far = (distance > WRIST_REACH * distance.max())[border_edges(ranked.group[part.faces])].all(axis=1)
+        if far.sum() > MAX_BORDER * len(part.faces):
             return None
         count = max(HAND_ENSEMBLE * self.network.points, TRACKED_POINTS)
         samples = SurfacePoints.of(part, count, generator(self.seed, 2 + SIDES.index(side)), ranked)
         samples = SurfacePoints(kept[samples.corners], samples.barycentric)
-        points, moved = NetworkPoints.of(samples, mesh.vertices), weight > LEAST_SHARE
-        queries = _vertices(mesh, moved) if by_vertex else points[:TRACKED_POINTS]
+        points, moved = SurfaceSample.of(samples, mesh.vertices), weight > LEAST_SHARE
+        queries = points[:TRACKED_POINTS]
+        if by_vertex:
+            around = mesh.faces[moved[mesh.faces.T].any(axis=0)]
+            queries = SurfaceSample(mesh.vertices[moved], vertex_normals(mesh.vertices, around)[moved])
         base = self.joints.index(f"{side}FingerBase") if f"{side}FingerBase" in self.joints else hand
         return Hand(side, hand, base, mesh.rig, samples, points, np.flatnonzero(moved), queries)
 
@@ -169,55 +176,6 @@ class WeightedMesh:
 
 
 @dataclass(frozen=True, eq=False)
-class FingeredHand:
-    """A hand that shows its fingers."""
-
-    hand: Hand
-    fingers: Fingers
-
-    @property
-    def base_to_palm(self) -> Float[np.ndarray, "3 3"]:
-        """Rotation from the frame of the joint that carries the fingers to the palm."""
-        return self.hand.rig.rotation[self.hand.base].T @ self.fingers.palm
-
-    @cached_property
-    def tracker(self) -> PartTracker:
-        """Tracks the hand, which is the first joint, and its fingers; the queries are the tracked points."""
-        joints = np.concatenate([self.hand.position[None], self.fingers.joints])
-        return PartTracker.of(self.hand.queries.points, self.fingers.shares, joints, HAND_PARENTS)
-
-
-@dataclass(frozen=True, eq=False)
-class FoundFingers:
-    """The hands of one side of both meshes, which show their fingers."""
-
-    identity: FingeredHand
-    """The shares are those of its vertices."""
-    driving: FingeredHand
-    """In the reference frame; the shares are those of its tracked points."""
-
-    @property
-    def settled_bends(self) -> Bends:
-        """Bends of the identity's fingers, those that the driving's nearly equal replaced by the driving's."""
-        return settled_bends(self.identity.fingers.bends, self.driving.fingers.bends)
-
-
-def _has_holes(
-    vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"], wrist: Float[np.ndarray, " 3"]
-) -> bool:
-    """Tell whether the surface of a hand is open elsewhere than at the wrist."""
-    distance = np.linalg.norm(vertices - wrist, axis=1)
-    far = (distance > WRIST_REACH * distance.max())[border_edges(faces)].all(axis=1)
-    return bool(far.sum() > MAX_BORDER * len(faces))
-
-
-def _vertices(mesh: WeightedMesh, chosen: Bool[np.ndarray, " V"]) -> NetworkPoints:
-    """Return some vertices of a mesh with their normals."""
-    around = mesh.faces[chosen[mesh.faces.T].any(axis=0)]
-    return NetworkPoints(mesh.vertices[chosen], vertex_normals(mesh.vertices, around)[chosen])
-
-
-@dataclass(frozen=True, eq=False)
 class Hand:
     """The part of a mesh that is a hand, in one frame."""
 
@@ -231,11 +189,11 @@ class Hand:
     """Joints of the body."""
     surface: SurfacePoints
     """Points of the hand, HAND_ENSEMBLE times as many as one prediction takes, or more."""
-    samples: NetworkPoints
+    samples: SurfaceSample
     """The same points in this frame."""
     vertices: Int[np.ndarray, " V"]
     """Vertices that the hand moves."""
-    queries: NetworkPoints
+    queries: SurfaceSample
     """Points whose weights are predicted."""
 
     @property
@@ -248,9 +206,9 @@ class Hand:
         """World position of the hand's joint."""
         return self.rig.joints[self.joint]
 
-    def local(self, points: NetworkPoints) -> NetworkPoints:
+    def local(self, points: SurfaceSample) -> SurfaceSample:
         """Express points in the frame of the hand's joint, as those of a left hand."""
-        turned = NetworkPoints((points.points - self.position) @ self.rotation, points.normals @ self.rotation)
+        turned = SurfaceSample((points.points - self.position) @ self.rotation, points.normals @ self.rotation)
         return turned if self.side == "Left" else turned.mirrored()
 
     def fingers(
@@ -263,13 +221,14 @@ class Hand:
         if self.side == "Right":
             rotation, joints = mirrored_rotations(rotation), joints * MIRROR
         turned, placed = self.rotation @ rotation, joints @ self.rotation.T + self.position
-        return Fingers(turned[0], turned[1:], placed[1:], shares)
+        return Fingers(self, turned[0], turned[1:], placed[1:], shares)
 
 
 @dataclass(frozen=True, eq=False)
 class Fingers:
-    """Fingers of a hand: its palm and fifteen joints in the world, and the weights of its queries."""
+    """Fingers of a hand that shows them: its palm and fifteen joints in the world, and the weights of its queries."""
 
+    hand: Hand
     palm: Float[np.ndarray, "3 3"]
     """World rotation of the palm."""
     rotation: Float[np.ndarray, "15 3 3"]
@@ -284,6 +243,17 @@ class Fingers:
         """Rotation of each joint relative to the palm."""
         return self.palm.T @ self.rotation
 
+    @cached_property
+    def tracker(self) -> PartTracker:
+        """Tracks the hand, which is the first joint, and its fingers; the queries are the tracked points."""
+        joints = np.concatenate([self.hand.position[None], self.joints])
+        return PartTracker.of(self.hand.queries.points, self.shares, joints, HAND_PARENTS)
+
+
+FoundFingers = tuple[Fingers, Fingers]
+"""Fingers of one side of both meshes, the identity's first. Shares are those of the identity's vertices, and of the
+tracked points of the driving, which is in the reference frame."""
+
 
 @dataclass(frozen=True, eq=False)
 class FingerNetwork:
@@ -295,7 +265,8 @@ class FingerNetwork:
 
     def predict(self, hands: list[Hand]) -> list[Fingers | None]:
         """Predict the fingers of hands; None for a hand that does not show any, or whose predictions differ."""
-        parts = [self._parts(hand) for hand in hands]
+        samples = [hand.local(hand.samples) for hand in hands]
+        parts = [[of[k::HAND_ENSEMBLE][: self.points] for k in range(HAND_ENSEMBLE)] for of in samples]
         # Each hand has another number of queries, so the first predictions are single runs.
         first = [
             self._run_in_chunks(part[0], hand.local(hand.queries)) for hand, part in zip(hands, parts, strict=True)
@@ -316,19 +287,13 @@ class FingerNetwork:
                 found[h] = hands[h].fingers(mean, joints.mean(axis=0), softmax(first[h].scores[0]))
         return found
 
-    def _parts(self, hand: Hand) -> list[NetworkPoints]:
-        """Divide the samples of a hand into those of each prediction."""
-        samples = hand.local(hand.samples)
-        return [samples[k::HAND_ENSEMBLE][: self.points] for k in range(HAND_ENSEMBLE)]
-
-    def _run_in_chunks(self, points: NetworkPoints, queries: NetworkPoints) -> _Outputs:
+    def _run_in_chunks(self, points: SurfaceSample, queries: SurfaceSample) -> _Outputs:
         """Run the network on one hand with any number of queries, CHUNK at a time."""
         outputs = [self._run([points], [queries[k : k + CHUNK]]) for k in range(0, len(queries), CHUNK)]
         # All but the scores are the same for all chunks: they do not depend on the queries.
         return dataclasses.replace(outputs[0], scores=np.concatenate([part.scores for part in outputs], axis=1))
 
-    def _run(self, points: list[NetworkPoints], queries: list[NetworkPoints]) -> _Outputs:
-        """Run the network on a batch of hands."""
+    def _run(self, points: list[SurfaceSample], queries: list[SurfaceSample]) -> _Outputs:
         given = {
             name: np.stack([getattr(part, field) for part in parts]).astype(np.float32)
             for parts, names in ((points, ("points", "normals")), (queries, ("vertices", "vertex_normals")))
@@ -367,30 +332,19 @@ class FingerTracker:
     @classmethod
     def of(cls, hands: list[FoundFingers]) -> FingerTracker:
         """Prepare tracking from the reference frame."""
-        tracked = [found.driving.hand.surface for found in hands]
+        tracked = [driving.hand.surface for _, driving in hands]
         samples = SurfacePoints(
             np.concatenate([points.corners[:TRACKED_POINTS] for points in tracked]),
             np.concatenate([points.barycentric[:TRACKED_POINTS] for points in tracked]),
         )
         return cls(
-            [found.driving.hand.base for found in hands],
+            [driving.hand.base for _, driving in hands],
             samples,
-            PartTracker.stacked(found.driving.tracker for found in hands),
-            np.stack([found.driving.fingers.palm[None] for found in hands]),
-            np.stack([found.driving.fingers.rotation for found in hands]),
-            np.stack([found.identity.base_to_palm[None] for found in hands]),
+            PartTracker.stacked(driving.tracker for _, driving in hands),
+            np.stack([driving.palm[None] for _, driving in hands]),
+            np.stack([driving.rotation for _, driving in hands]),
+            np.stack([(own.hand.rig.rotation[own.hand.base].T @ own.palm)[None] for own, _ in hands]),
         )
-
-    def follow(self, vertices: Float[np.ndarray, "U 3"], rotation: Float[np.ndarray, "B 3 3"]) -> Pose:
-        """Return rotations of the finger joints for the identity, and their positions in the driving's frame.
-
-        Args:
-            vertices: the driving in a frame.
-            rotation: of the driving's joints in that frame.
-        """
-        bends, positions = self.bends(self.samples.points(vertices))
-        fingers = rotation[self.bases][:, None] @ self.to_palm @ bends
-        return fingers.reshape(-1, 3, 3), positions.reshape(-1, 3)
 
     def bends(
         self, points: Float[np.ndarray, "*T N 3"]
@@ -401,20 +355,9 @@ class FingerTracker:
         palm = motion[..., :1, :, :] @ self.palm
         return palm.swapaxes(-1, -2) @ motion[..., 1:, :, :] @ self.rotation, positions[..., 1:, :]
 
-    def bend_otherwise(self, identity: list[Fingers], points: Float[np.ndarray, "T N 3"]) -> Bool[np.ndarray, " H"]:
-        """Tell of each hand whether a finger is clearly bent otherwise than the identity's in some frame.
-
-        A rotation that all four fingers have in common does not count: the body's joints of the hand give it too.
-        """
-        own, bends = np.stack([fingers.bends for fingers in identity]), self.bends(points)[0]
-        common = nearest_rotation((bends[..., 3:, :, :] @ own[:, 3:].swapaxes(-1, -2)).sum(axis=-3))
-        thumb = np.broadcast_to(own[:, :3], (*bends.shape[:2], 3, 3, 3))
-        turned = np.concatenate([thumb, common[..., None, :, :] @ own[:, 3:]], axis=2)
-        return finger_angles(turned, bends).max(axis=(0, 2)) > DIFFERENT_ABOVE
-
 
 def with_fingers(
-    rig: Rig, joints: tuple[str, ...], parents: tuple[int, ...], found: Sequence[tuple[FingeredHand, Bends]]
+    rig: Rig, joints: tuple[str, ...], parents: tuple[int, ...], found: Sequence[tuple[Fingers, Bends]]
 ) -> tuple[Rig, tuple[str, ...], tuple[int, ...]]:
     """Add fingers to a rig, its joints and parents; the body's joints stay where they are.
 
@@ -424,44 +367,24 @@ def with_fingers(
         found: hands, and the rotation of each finger joint relative to the palm at rest.
     """
     rotation, positions, weights = [rig.rotation], [rig.joints], [rig.weights.copy() if found else rig.weights]
-    for fingered, bends in found:
-        mine, fingers = fingered.hand, fingered.fingers
+    for fingers, bends in found:
+        mine = fingers.hand
         of_hand, palm = hand_joints(joints, mine.side), list(dict.fromkeys([mine.joint, mine.base]))
-        weights.append(_divided_weights(weights[0], of_hand, palm, mine.vertices, fingers.shares))
+        # The rest of what the hand moves than the vertices whose shares are known belongs to the palm.
+        rows = np.flatnonzero(weights[0][:, of_hand].any(axis=1))
+        shares = np.eye(1, 16).repeat(len(rows), axis=0)
+        shares[np.searchsorted(rows, mine.vertices)] = fingers.shares
+        mass = weights[0][rows][:, of_hand].sum(axis=1, keepdims=True)
+        kept = weights[0][rows][:, palm] + TINY
+        weights[0][rows[:, None], of_hand] = 0.0
+        weights[0][rows[:, None], palm] = mass * shares[:, :1] * kept / kept.sum(axis=1, keepdims=True)
+        weights.append(np.zeros((len(weights[0]), 15)))
+        weights[-1][rows] = mass * shares[:, 1:]
         rotation.append(fingers.palm @ bends)
         positions.append(fingers.joints)
         parents += tuple(mine.base if parent == 0 else len(joints) + parent - 1 for parent in HAND_PARENTS[1:])
         joints += finger_joints(mine.side)
     return Rig(np.concatenate(rotation), np.concatenate(positions), np.concatenate(weights, axis=1)), joints, parents
-
-
-def _divided_weights(
-    weights: Float[np.ndarray, "V J"],
-    of_hand: list[int],
-    palm: list[int],
-    vertices: Int[np.ndarray, " Q"],
-    shares: Float[np.ndarray, "Q 16"],
-) -> Float[np.ndarray, "V 15"]:
-    """Return the weights of the fingers of a hand, and leave the rest of the hand's to the joints of its palm.
-
-    Args:
-        weights: of the body's joints; changed in place.
-        of_hand: all joints of the body's hand.
-        palm: those that go on sharing the palm.
-        vertices: whose shares are known; the rest of what the hand moves belongs to the palm.
-        shares: of the palm and of the fingers in the weight that the hand has.
-    """
-    rows = np.flatnonzero(weights[:, of_hand].any(axis=1))
-    all_shares = np.zeros((len(rows), 16))
-    all_shares[:, 0] = 1.0
-    all_shares[np.searchsorted(rows, vertices)] = shares
-    mass = weights[rows][:, of_hand].sum(axis=1, keepdims=True)
-    kept = weights[rows][:, palm] + TINY
-    weights[rows[:, None], of_hand] = 0.0
-    weights[rows[:, None], palm] = mass * all_shares[:, :1] * kept / kept.sum(axis=1, keepdims=True)
-    fingers = np.zeros((len(weights), 15))
-    fingers[rows] = mass * all_shares[:, 1:]
-    return fingers
 
 
 def settled_bends(
@@ -494,7 +417,11 @@ def follow_fingers(
 
     def follow_all(vertices: Float[np.ndarray, "U 3"]) -> Pose:
         rotation, positions = follow(vertices)
-        fingers, places = tracker.follow(vertices, rotation)
-        return np.concatenate([rotation, fingers]), np.concatenate([positions, places])
+        bends, places = tracker.bends(tracker.samples.points(vertices))
+        fingers = rotation[tracker.bases][:, None] @ tracker.to_palm @ bends
+        return (
+            np.concatenate([rotation, fingers.reshape(-1, 3, 3)]),
+            np.concatenate([positions, places.reshape(-1, 3)]),
+        )
 
     return follow_all

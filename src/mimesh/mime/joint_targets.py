@@ -147,22 +147,18 @@ class JointTargets:
         fixed = np.zeros(len(joints), bool)
         fixed[self.index] = True
         chains = _chains(self.body)
-        placed = self._swapped_sides(chains, joints, fixed)
-        moved = chains.moved(self.apply(placed), placed, rotation, fixed)
-        return chains.turned(rotation, joints, moved, fixed)
-
-    def _swapped_sides(self, chains: _Chains, joints: Joints, fixed: Bool[np.ndarray, " J"]) -> Joints:
-        """Swap left and right of the arms or legs if a target of one side is where the other side was predicted."""
         limbs, at = chains.linkage.limbs, chains.at
-        swapped, targets = joints.copy(), self.apply(joints)
+        placed, targets = joints.copy(), self.apply(joints)
+        # Left and right arms or legs are swapped if a target of one side is where the other side was predicted.
         for left_limb, right_limb in zip(limbs[:2], limbs[2:], strict=True):
             left, right = ([at[name] for name in limb] for limb in (left_limb, right_limb))
             own, other = (np.concatenate([joints[one], joints[two]]) for one, two in ((left, right), (right, left)))
             known = fixed[[*left, *right]]
             far, near = (np.linalg.norm(targets[[*left, *right]] - to, axis=1)[known] for to in (own, other))
             if known.any() and near.sum() < SWAPPED * far.sum():
-                swapped[[*left, *right]] = other
-        return swapped
+                placed[[*left, *right]] = other
+        moved = chains.moved(self.apply(placed), placed, rotation, fixed)
+        return chains.turned(rotation, joints, moved, fixed)
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,38 +183,31 @@ class _Chains:
         moved = moved.copy()
         for chain in filter(None, (linkage.trunk, linkage.tail)):
             places = [at[name] for name in chain]
-            moved[places] = _interpolated(moved[places], joints[places], known[places])
+            # Displaced by interpolation, along the chain, between the joints whose place is known.
+            bones = np.linalg.norm(np.diff(joints[places], axis=0), axis=1)
+            length = np.concatenate([[0.0], np.cumsum(np.maximum(bones, 1e-9))])
+            displacements = (moved - joints)[places]
+            between = [np.interp(length, length[known[places]], of[known[places]]) for of in displacements.T]
+            moved[places] = joints[places] + np.stack(between, axis=1)
         for name, j in at.items():  # parents come before their children
             if not fixed[j] and name not in linkage.staying:
                 moved[j] = joints[j] + moved[self.parents[j]] - joints[self.parents[j]]
         for limb, front in zip(linkage.limbs, linkage.bends, strict=True):
-            self._move_limb([at[name] for name in limb], front, moved, joints, rotation, fixed)
+            upper, middle, end, *tips = (at[name] for name in limb)
+            corrected = bool(fixed[end])
+            for tip in tips:
+                if fixed[tip] and not fixed[end]:
+                    moved[end] = joints[end] + moved[tip] - joints[tip]
+                    corrected = True
+                elif fixed[end] and not fixed[tip]:
+                    before, after = (np.linalg.norm(places[tip] - places[end]) for places in (joints, moved))
+                    if not SAME_LENGTH * before < after < before / SAME_LENGTH:
+                        moved[tip] = joints[tip] + moved[end] - joints[end]
+            bones = [upper, middle, end]
+            if corrected and not fixed[middle] and not self._reaches(bones, joints, moved):
+                # Knees bend to the front, elbows to the back: this decides where the predicted limb is straight.
+                moved[middle] = two_bone_middle(joints[bones], moved[upper], moved[end], rotation[upper, :, 2] * front)
         return moved
-
-    def _move_limb(
-        self,
-        limb: list[int],
-        front: float,
-        moved: Joints,
-        joints: Joints,
-        rotation: Float[np.ndarray, "J 3 3"],
-        fixed: Bool[np.ndarray, " J"],
-    ) -> None:
-        """Move the joints of a limb that are not fixed with those that are, in `moved`."""
-        upper, middle, end, *tips = limb
-        corrected = bool(fixed[end])
-        for tip in tips:
-            if fixed[tip] and not fixed[end]:
-                moved[end] = joints[end] + moved[tip] - joints[tip]
-                corrected = True
-            elif fixed[end] and not fixed[tip]:
-                before, after = (np.linalg.norm(places[tip] - places[end]) for places in (joints, moved))
-                if not SAME_LENGTH * before < after < before / SAME_LENGTH:
-                    moved[tip] = joints[tip] + moved[end] - joints[end]
-        if corrected and not fixed[middle] and not self._reaches(limb[:3], joints, moved):
-            # Knees bend to the front, elbows to the back: this decides where the predicted limb is straight.
-            bend = rotation[upper, :, 2] * front
-            moved[middle] = two_bone_middle(joints[limb[:3]], moved[upper], moved[end], bend)
 
     def _reaches(self, limb: list[int], before: Joints, after: Joints) -> bool:
         """Whether the lower bone of a limb, its middle staying, has about its predicted length, or the body's."""
@@ -257,7 +246,12 @@ class _Chains:
                 child = at[linkage.ends[name]]
                 bone = moved[child] - moved[j]
                 if not np.array_equal(moved[[j, child]], joints[[j, child]]):
-                    turned[j] = self._along_bone(name, rotation[j], inherited, joints[child] - joints[j], bone)
+                    if name in linkage.neck:  # those of other bodies have other directions at rest
+                        before = inherited @ rotation[j].T @ (joints[child] - joints[j])
+                        turned[j] = rotation_between(before, bone) @ inherited
+                    else:  # where positions contradict the rotation, this is more often right
+                        before = rotation[j] @ (self.rest[child] - self.rest[j])
+                        turned[j] = rotation_between(before, bone) @ rotation[j]
                     plain = self._hinge_rotation(name, moved)
                     most = MAX_HINGE_TWIST
             elif fixed[j]:
@@ -271,26 +265,6 @@ class _Chains:
             if not fixed[j] and name not in linkage.staying:
                 moved[j] = moved[parent] + turned[parent] @ rotation[parent].T @ (joints[j] - joints[parent])
         return turned, moved
-
-    def _along_bone(
-        self,
-        name: str,
-        rotation: Rotation,
-        inherited: Rotation,
-        before: Float[np.ndarray, " 3"],
-        bone: Float[np.ndarray, " 3"],
-    ) -> Rotation:
-        """Turn a joint's predicted rotation, of the neck the one that it has from the chest, to the direction of its
-        bone.
-
-        Of limbs the direction that the rotation gives the bone is turned, not that of the predicted positions: where
-        these contradict each other, rotations are more often right.
-        """
-        if name in self.linkage.neck:
-            # Necks of other bodies have other directions at rest: relative to the predicted one.
-            return rotation_between(inherited @ rotation.T @ before, bone) @ inherited
-        rest = self.rest[self.at[self.linkage.ends[name]]] - self.rest[self.at[name]]
-        return rotation_between(rotation @ rest, bone) @ rotation
 
     def _hinge_rotation(self, name: str, joints: Joints) -> Rotation | None:
         """Return the rotation of a bone of a bent limb whose knee or elbow is a hinge; None if it is not bent."""
@@ -327,20 +301,9 @@ class _Chains:
 
 @cache
 def _chains(body: str) -> _Chains:
-    """Return a shipped body with its linkage."""
     rigged = load_body(body)
     at = {name: j for j, name in enumerate(rigged.joint_names)}
     return _Chains(LINKAGES[body], tuple(rigged.parents), rigged.joints, at)
-
-
-def _interpolated(
-    moved: Float[np.ndarray, "C 3"], joints: Float[np.ndarray, "C 3"], known: Bool[np.ndarray, " C"]
-) -> Float[np.ndarray, "C 3"]:
-    """Displace the joints of a chain by interpolation, along its length, between those whose place is known."""
-    bones = np.linalg.norm(np.diff(joints, axis=0), axis=1)
-    length = np.concatenate([[0.0], np.cumsum(np.maximum(bones, 1e-9))])
-    displacements = [np.interp(length, length[known], along[known]) for along in (moved - joints).T]
-    return joints + np.stack(displacements, axis=1)
 
 
 def two_bone_middle(

@@ -54,7 +54,6 @@ def kept(most: int) -> Callable[[Callable], Callable]:
 
 
 def _digest(shape: Mesh | Clip) -> bytes:
-    """Return a digest of all points and triangles."""
     faces = shape.faces if isinstance(shape, Mesh) else shape.mesh.faces
     digest = hashlib.blake2b(digest_size=16)
     for array in (shape.vertices, faces):

@@ -10,8 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property, partial
-from typing import TYPE_CHECKING
+from functools import partial
 
 import numpy as np
 from jaxtyping import Float
@@ -27,13 +26,11 @@ from ..core.surface_points import SurfacePoints, generator
 from ..rigs.character import Character, names_above
 from ..rigs.confidence import MAX_UNMATCHED_SURFACE, Confidence
 from ..rigs.retarget import Follow, JointMotion, Pose, SurfaceMotion
-from .block_arms import with_block_arms
 from .body_fit import RELIABLE_MISMATCH, BodyFit, SurfaceSample, fit_body, fit_predictions, sampled_body
-from .enclosed import share_enclosed
-from .hands import Bends, FingeredHand, HandFinder, WeightedMesh, follow_fingers, with_fingers
+from .hands import Bends, Fingers, HandFinder, WeightedMesh, follow_fingers, settled_bends, with_fingers
 from .joint_targets import JointTargets
 from .kept_results import kept
-from .lost_shins import lost_shin
+from .misread import lost_shin, share_enclosed, with_block_arms
 from .part_tracking import PartTracker
 from .prediction import (
     ENSEMBLE,
@@ -41,15 +38,11 @@ from .prediction import (
     Denoiser,
     JointNetwork,
     KeyframePrediction,
-    NetworkPoints,
     consensus,
     face_outward,
     sampled_points,
 )
 from .weights import COUNT, DENSE, CoarseSurface, clean_weights, corrected_weights, with_whole_tail, without_steps
-
-if TYPE_CHECKING:
-    from onnxruntime import InferenceSession
 
 KEPT_RIGS, KEPT_DRIVINGS, KEPT_QUICK = 8, 16, 256
 """How many results are kept (see `kept_results.py`): the weights of 10,000 vertices
@@ -89,17 +82,10 @@ class FittedJoints:
 
 
 @dataclass(frozen=True, eq=False)
-class Mime:
+class Mime(JointNetwork):
     """A loaded network that finds the joints of one shipped body, ready for any mesh."""
 
     name: str
-    session: InferenceSession
-    joints: tuple[str, ...]
-    """Names of the network's joints."""
-    parents: tuple[int, ...]
-    """Parent of each joint; -1 for the root, which comes first."""
-    legs: tuple[tuple[int, ...], ...]
-    """Joints of each leg, from hip to ankle."""
     points: int
     """Samples of the surface that one prediction takes."""
     body: str = "human"
@@ -111,11 +97,6 @@ class Mime:
     """Name of each other body that there is a network for -> opens it."""
     hands: HandFinder | None = None
     """Finds hands that show fingers; without it fingers follow the hand."""
-
-    @cached_property
-    def network(self) -> JointNetwork:
-        """The network."""
-        return JointNetwork(self.session, self.joints, self.parents, self.legs)
 
     @property
     def kept_key(self) -> Hashable:
@@ -219,7 +200,7 @@ class Mime:
         hands = self.hands.find_moving(identity, reference, surface)
         if not hands:
             return character, motion
-        fingered = _with_hands(character, [(hand.identity, hand.settled_bends) for hand in hands])
+        fingered = _with_hands(character, [(own, settled_bends(own.bends, driving.bends)) for own, driving in hands])
         assert motion.follow is not None
         follow = follow_fingers(motion.follow, hands)
         return fingered, dataclasses.replace(motion, joints=fingered.joints, follow=follow)
@@ -227,7 +208,7 @@ class Mime:
     def with_all_fingers(self, character: Character, mesh: Mesh) -> Character:
         """Add the fingers of all hands that show them to a character that was made by `rig` of `mesh`."""
         hands = [] if self.hands is None else self.hands.find(_with_weights_of(character, mesh))
-        return _with_hands(character, [(hand, hand.fingers.bends) for hand in hands]) if hands else character
+        return _with_hands(character, [(hand, hand.bends) for hand in hands]) if hands else character
 
     def _targets(self, known: Positions) -> JointTargets:
         return JointTargets([self.joints.index(name) for name in known], np.array(list(known.values())), self.body)
@@ -255,7 +236,7 @@ class Mime:
         """Predict once: mean entropy (nats) of the skinning weights of a mesh, and world rotation of its root joint."""
         mesh = face_outward(mesh)
         samples, denoised = self._sampled(mesh, canonical_order(mesh.vertices), 1)
-        return self.network.predict_once(NetworkPoints.of(samples, denoised))
+        return self.predict_once(SurfaceSample.of(samples, denoised))
 
     @kept(most=KEPT_RIGS)
     def _rig(self, mesh: Mesh) -> tuple[Rig, Confidence]:
@@ -281,12 +262,13 @@ class Mime:
         normals = vertex_normals(vertices, faces) if len(faces) else np.zeros_like(vertices)
         samples, denoised = self._sampled(mesh, ranked, ENSEMBLE)
         # Confidence is measured at samples, which are spread evenly over the surface; vertices are not.
-        queries = NetworkPoints(vertices, normals).joined(NetworkPoints.of(samples.part(0, ENSEMBLE), denoised))
-        rigs = [self.network.predict(samples, denoised, k) for k in range(ENSEMBLE)]
-        mean = dataclasses.replace(consensus(rigs), weights=self.network.weights(rigs, samples, denoised, queries))
+        even = SurfaceSample.of(samples.part(0, ENSEMBLE), denoised)
+        queries = SurfaceSample(np.concatenate([vertices, even.points]), np.concatenate([normals, even.normals]))
+        rigs = [self.predict(samples, denoised, k) for k in range(ENSEMBLE)]
+        mean = dataclasses.replace(consensus(rigs), weights=self.weights(rigs, samples, denoised, queries))
         # Smoothing improves the normals but shrinks the surface: points are taken from the original mesh.
         sample = SurfaceSample(samples.points(mesh.vertices), samples.normals(denoised))
-        confidence = self.network.confidence(rigs, mean, mean.weights[len(vertices) :])
+        confidence = self.confidence(rigs, mean, mean.weights[len(vertices) :])
         measured = slice(len(vertices), None)
         rig, confidence, fit = self._with_body(mean, confidence, sample, rigs, queries, measured, targets, near)
         weights, nearest, known = rig.weights[: len(vertices)], None, 0.0
@@ -314,7 +296,7 @@ class Mime:
         confidence: Confidence,
         sample: SurfaceSample,
         predictions: Sequence[Rig],
-        queries: NetworkPoints,
+        queries: SurfaceSample,
         measured: slice,
         targets: JointTargets | None,
         near: Pose | None = None,
@@ -329,9 +311,20 @@ class Mime:
         """
         if targets is not None:
             rig, confidence, fit = self._with_corrections(rig, confidence, sample, queries, targets)
-            return rig, self._with_weights(confidence, rig.weights[measured]), fit
-        fitted, sure, fit = self._with_fit(rig, confidence, sample, predictions, near)
-        if fit is None or self.body != "human":
+            again = Confidence.of(confidence.prediction_spread, rig.weights[measured], self.joints, self.parents)
+            sure = dataclasses.replace(confidence, weight_entropy=again.weight_entropy, limbs=again.limbs)
+            if sure.unmatched_surface <= MAX_UNMATCHED_SURFACE:  # predictions may differ where the body covers all
+                sure = dataclasses.replace(sure, prediction_spread=0.0, fit_angle=0.0, flexion=0.0)
+            return rig, sure, fit
+        if not self.fits_body:
+            return rig, confidence, None
+        fit = fit_predictions(sample, rig, predictions, self.body)
+        if near is not None:
+            other = fit_body(sample, *near, name=self.body)
+            fit = other if other.cost < CLEARLY * fit.cost else fit
+        fitted = dataclasses.replace(rig, rotation=fit.rotation, joints=fit.joints)
+        sure = self._measured(confidence, fit, sample)
+        if self.body != "human":
             return fitted, sure, fit
         # What is found is as uncertain as what was predicted: weights are not measured again.
         if found := lost_shin(sample, fit):
@@ -339,30 +332,6 @@ class Mime:
         if fit.distance > RELIABLE_MISMATCH:
             fitted = with_block_arms(fitted, sample.points, queries.points, self.joints, self.parents)
         return fitted, sure, fit
-
-    def _with_fit(
-        self,
-        rig: Rig,
-        confidence: Confidence,
-        sample: SurfaceSample,
-        predictions: Sequence[Rig],
-        near: Pose | None,
-    ) -> tuple[Rig, Confidence, BodyFit | None]:
-        """Replace the joints of a rig, the consensus of predictions, by those of the body fitted to its surface.
-
-        Unchanged if not `fits_body`.
-        """
-        if not self.fits_body:
-            return rig, confidence, None
-        fit = fit_predictions(sample, rig, predictions, self.body)
-        if near is not None:
-            other = fit_body(sample, *near, name=self.body)
-            fit = other if other.cost < CLEARLY * fit.cost else fit
-        return (
-            dataclasses.replace(rig, rotation=fit.rotation, joints=fit.joints),
-            self._measured(confidence, fit, sample),
-            fit,
-        )
 
     def _cost(self, reading: KeyframePrediction, frames: list[np.ndarray], denoised: list[np.ndarray]) -> float:
         """Measure how badly the body fits a reading of a driving; without a fit, how far its predictions disagree."""
@@ -372,7 +341,7 @@ class Mime:
         return fit_predictions(sample, reading.consensus, reading.predictions, self.body).cost
 
     def _with_corrections(
-        self, rig: Rig, confidence: Confidence, sample: SurfaceSample, queries: NetworkPoints, targets: JointTargets
+        self, rig: Rig, confidence: Confidence, sample: SurfaceSample, queries: SurfaceSample, targets: JointTargets
     ) -> tuple[Rig, Confidence, BodyFit]:
         """Replace joints and weights of a rig by those of the body that is fitted with some joints at their targets.
 
@@ -396,14 +365,6 @@ class Mime:
             enclosed=share_enclosed(fit.joints[inner], sample.points, sample.normals),
         )
 
-    def _with_weights(self, confidence: Confidence, weights: Float[np.ndarray, "N J"]) -> Confidence:
-        """Measure a corrected rig again: predictions may differ where the corrected body covers the surface."""
-        measured = Confidence.of(confidence.prediction_spread, weights, self.joints, self.parents)
-        confidence = dataclasses.replace(confidence, weight_entropy=measured.weight_entropy, limbs=measured.limbs)
-        if confidence.unmatched_surface > MAX_UNMATCHED_SURFACE:
-            return confidence
-        return dataclasses.replace(confidence, prediction_spread=0.0, fit_angle=0.0, flexion=0.0)
-
     @kept(most=KEPT_DRIVINGS)
     def _tracked(self, keyframes: Clip) -> tuple[Follow, KeyframePrediction]:
         return self._follow(keyframes)
@@ -422,30 +383,30 @@ class Mime:
         denoised = [denoiser(vertices) for vertices in frames]
         samples = sampled_points(keyframes.mesh, denoised[0], ranked, ENSEMBLE * self.points, generator(self.seed, 1))
         tracked = samples.part(0, TRACKED)
-        best = self.network.predict_keyframes(samples, frames, denoised, 0 if targets is None else len(frames) - 1)
+        best = self.predict_keyframes(samples, frames, denoised, 0 if targets is None else len(frames) - 1)
         # Points were drawn on the first frame; they are the same points of the surface in every other one.
         for t in range(1, len(denoised), max(1, len(denoised) // RETRIES)):
             if targets is None and best.confidence.prediction_spread > DISAGREEMENT:
-                other = self.network.predict_keyframes(samples, frames, denoised, t)
+                other = self.predict_keyframes(samples, frames, denoised, t)
                 best = min(best, other, key=lambda keyframes: keyframes.confidence.prediction_spread)
         if targets is None and self.body in LIE and best.confidence.prediction_spread > DISAGREEMENT:
-            turn = self.network.turn_to_stand(samples, denoised[best.reference])
+            turn = self.turn_to_stand(samples, denoised[best.reference])
             if turn is not None:
-                other = self.network.predict_keyframes(samples, frames, denoised, best.reference, turn)
+                other = self.predict_keyframes(samples, frames, denoised, best.reference, turn)
                 best = min(best, other, key=lambda reading: self._cost(reading, frames, denoised))
         sample = best.surface(frames, denoised)
-        queries = NetworkPoints(best.points, tracked.normals(denoised[best.reference]))
+        queries = SurfaceSample(best.points, tracked.normals(denoised[best.reference]))
         rig, confidence, _ = self._with_body(
             best.consensus, best.confidence, sample, best.predictions, queries, slice(None), targets
         )
         # Without a fit the median over all keyframes is more reliable than the reference alone.
         leg = leg_length(rig.joints, self.legs) if self.fits_body else best.leg
-        near = _nearest_weights(sample.points, best.points, rig)
+        near = dataclasses.replace(rig, weights=rig.weights[nearest_points(best.points, sample.points)[1]])
         soles = find_soles(sample.points, near, self.legs, self.parents, self.arms)
         body = body_points(sample.points, near, self.legs + self.arms, self.parents)
         best = dataclasses.replace(best, consensus=rig, leg=leg, confidence=confidence, soles=soles, body=body)
         tracker = PartTracker.of(best.points, rig.weights, rig.joints, self.parents)
-        return partial(_tracked_pose, tracker, tracked, rig.rotation), best
+        return partial(_tracked_pose, tracker, tracked, rig.rotation), best  # which can be pickled
 
 
 def _with_weights_of(character: Character, mesh: Mesh) -> WeightedMesh:
@@ -462,7 +423,7 @@ def _tracked_pose(
     return rotation @ frames, joints
 
 
-def _with_hands(character: Character, hands: Sequence[tuple[FingeredHand, Bends]]) -> Character:
+def _with_hands(character: Character, hands: Sequence[tuple[Fingers, Bends]]) -> Character:
     """Add the fingers of hands to a character, with their bends at rest."""
     rig, joints, parents = with_fingers(character.rig, character.joints, character.parents, hands)
     return dataclasses.replace(
@@ -474,11 +435,6 @@ def _with_hands(character: Character, hands: Sequence[tuple[FingeredHand, Bends]
         roles={name: j for j, name in enumerate(joints)},
         above=names_above(joints, parents),
     )
-
-
-def _nearest_weights(points: Float[np.ndarray, "N 3"], known: Float[np.ndarray, "M 3"], rig: Rig) -> Rig:
-    """Return a rig with the weights of `points`: those of the nearest of the points whose weights are known."""
-    return dataclasses.replace(rig, weights=rig.weights[nearest_points(known, points)[1]])
 
 
 def _without_shares(confidence: Confidence, mesh: Mesh) -> Confidence:

@@ -90,19 +90,17 @@ class PartTracker:
         """
         centre = points.mean(axis=-2, keepdims=True)
         points = points - centre
-        maps = self._rigid(self.solve @ points)
+        maps = self.solve @ points
+        # Without stretch and shear; the mean of each joint's points is moved as before.
+        rotation = self._rotations(maps)
+        offset = _apply(maps, self.mean) - (rotation @ self.mean[..., None])[..., 0]
+        maps = np.concatenate([rotation.swapaxes(-1, -2), offset[..., None, :]], axis=-2).reshape(maps.shape)
         maps = maps + self.solve @ (points - self.blend @ maps)
         return self._rotations(maps), _apply(maps, self.joints) + centre
 
     def _rotations(self, maps: Float[np.ndarray, "*B K 3"]) -> Float[np.ndarray, "*B J 3 3"]:
         """Return the rotation that moves each joint's points nearest to where its map moves them (Kabsch 1976)."""
         return nearest_rotation(_by_joint(maps)[..., :3, :].swapaxes(-1, -2) @ self.covariance)
-
-    def _rigid(self, maps: Float[np.ndarray, "*B K 3"]) -> Float[np.ndarray, "*B K 3"]:
-        """Remove stretch and shear from all maps; the mean of each joint's points is moved as before."""
-        rotation = self._rotations(maps)
-        offset = _apply(maps, self.mean) - (rotation @ self.mean[..., None])[..., 0]
-        return np.concatenate([rotation.swapaxes(-1, -2), offset[..., None, :]], axis=-2).reshape(maps.shape)
 
 
 def mean_rotation(rotations: Float[np.ndarray, "K J 3 3"]) -> Float[np.ndarray, "J 3 3"]:
@@ -140,10 +138,8 @@ def _by_joint(maps: Float[np.ndarray, "*B K 3"]) -> Float[np.ndarray, "*B J 4 3"
 
 
 def _apply(maps: Float[np.ndarray, "*B K 3"], points: Float[np.ndarray, "*#B J 3"]) -> Float[np.ndarray, "*B J 3"]:
-    """Apply the map of each joint to one point."""
     return (_homogeneous(points)[..., None, :] @ _by_joint(maps))[..., 0, :]
 
 
 def _homogeneous(points: Float[np.ndarray, "*B N 3"]) -> Float[np.ndarray, "*B N 4"]:
-    """Append a coordinate of 1."""
     return np.concatenate([points, np.ones((*points.shape[:-1], 1))], axis=-1)

@@ -64,40 +64,6 @@ DECIDED = 0.05
 
 
 @dataclass(frozen=True, eq=False)
-class NetworkPoints:
-    """Points of a surface as the network takes them."""
-
-    points: Float[np.ndarray, "N 3"]
-    normals: Float[np.ndarray, "N 3"]
-    """Unit normals, or zeros where they are not known."""
-
-    @classmethod
-    def of(cls, samples: SurfacePoints, vertices: Float[np.ndarray, "V 3"]) -> NetworkPoints:
-        """Compute samples of a mesh in a frame."""
-        return cls(samples.points(vertices), samples.normals(vertices))
-
-    def __len__(self) -> int:
-        return len(self.points)
-
-    def __getitem__(self, chosen: slice) -> NetworkPoints:
-        return NetworkPoints(self.points[chosen], self.normals[chosen])
-
-    def joined(self, others: NetworkPoints) -> NetworkPoints:
-        """Append other points of the same surface."""
-        return NetworkPoints(
-            np.concatenate([self.points, others.points]), np.concatenate([self.normals, others.normals])
-        )
-
-    def mirrored(self) -> NetworkPoints:
-        """Reflect the points at the plane x = 0."""
-        return NetworkPoints(self.points * MIRROR, self.normals * MIRROR)
-
-    def turned(self, turn: Float[np.ndarray, "3 3"]) -> NetworkPoints:
-        """Rotate the points about the origin."""
-        return NetworkPoints(self.points @ turn.T, self.normals @ turn.T)
-
-
-@dataclass(frozen=True, eq=False)
 class JointNetwork:
     """A loaded network, and several predictions of a mesh with it."""
 
@@ -111,8 +77,8 @@ class JointNetwork:
 
     def run(
         self,
-        samples: NetworkPoints,
-        queries: NetworkPoints | None,
+        samples: SurfaceSample,
+        queries: SurfaceSample | None,
         mirrored: bool = False,
         turn: Float[np.ndarray, "3 3"] | None = None,
     ) -> Rig:
@@ -130,7 +96,7 @@ class JointNetwork:
             rotation = mirrored_rotations(rig.rotation[self._other_sides])
             return Rig(rotation, rig.joints[self._other_sides] * MIRROR, rig.weights[:, self._other_sides])
         given = {"points": batch_of_one(samples.points), "normals": batch_of_one(samples.normals)}
-        at = queries or NetworkPoints(*np.zeros((2, 1, 3)))  # the network takes no empty input
+        at = queries or SurfaceSample(*np.zeros((2, 1, 3)))  # the network takes no empty input
         outputs = []
         for start in range(0, len(at), CHUNK):
             chunk = at[start : start + CHUNK]
@@ -143,7 +109,6 @@ class JointNetwork:
 
     @cached_property
     def _other_sides(self) -> list[int]:
-        """Joint on the other side of the body of each joint, or itself."""
         index = {name: j for j, name in enumerate(self.joints)}
         return [index.get(other_side(name), j) for name, j in index.items()]
 
@@ -152,11 +117,11 @@ class JointNetwork:
         samples: SurfacePoints,
         vertices: Float[np.ndarray, "U 3"],
         k: int,
-        queries: NetworkPoints | None = None,
+        queries: SurfaceSample | None = None,
         turn: Float[np.ndarray, "3 3"] | None = None,
     ) -> Rig:
         """Make prediction k of ENSEMBLE for a mesh, from samples of its own; odd ones are of the mirror image."""
-        sampled = NetworkPoints.of(samples.part(k, ENSEMBLE), vertices)
+        sampled = SurfaceSample.of(samples.part(k, ENSEMBLE), vertices)
         return self.run(sampled, queries, k % 2 == 1, turn)
 
     def weights(
@@ -164,7 +129,7 @@ class JointNetwork:
         rigs: list[Rig],
         samples: SurfacePoints,
         vertices: Float[np.ndarray, "U 3"],
-        queries: NetworkPoints,
+        queries: SurfaceSample,
         turn: Float[np.ndarray, "3 3"] | None = None,
     ) -> Float[np.ndarray, "V J"]:
         """Predict the weights of the queries: the mean of WEIGHT_ENSEMBLE of the predictions that agree."""
@@ -197,7 +162,7 @@ class JointNetwork:
         # Other keyframes add one prediction each; a single pose gets the whole ensemble.
         tracked, count = samples.part(0, TRACKED), ENSEMBLE if len(denoised) == 1 else REFERENCE_ENSEMBLE
         rigs = [self.predict(samples, denoised[t], k, turn=turn) for k in range(count)]
-        weights = self.weights(rigs, samples, denoised[t], NetworkPoints.of(tracked, denoised[t]), turn)
+        weights = self.weights(rigs, samples, denoised[t], SurfaceSample.of(tracked, denoised[t]), turn)
         joints = consensus(rigs).joints  # positions are those of the reference; only rotations are carried back
         tracker = PartTracker.of(tracked.points(frames[t]), weights, joints, self.parents)
         for k, vertices in enumerate(frames):
@@ -217,7 +182,7 @@ class JointNetwork:
         return KeyframePrediction(t, tracked.points(frames[t]), rig, tuple(rigs[:count]), leg, confidence, samples)
 
     def predict_once(
-        self, points: NetworkPoints, turn: Float[np.ndarray, "3 3"] | None = None
+        self, points: SurfaceSample, turn: Float[np.ndarray, "3 3"] | None = None
     ) -> tuple[float, Float[np.ndarray, "3 3"]]:
         """Predict once: mean entropy (nats) of the skinning weights of the points, and world rotation of the root."""
         rig = self.run(points, points, turn=turn)
@@ -232,7 +197,7 @@ class JointNetwork:
         weights says how the hips are turned. None: it is as decided as the mesh stands, or it says that the mesh stands
         and faces away, which has been decided before.
         """
-        sampled = NetworkPoints.of(samples.part(0, ENSEMBLE), vertices)
+        sampled = SurfaceSample.of(samples.part(0, ENSEMBLE), vertices)
         predictions = [self.predict_once(sampled, turn) for turn in ROTATIONS]
         found = [(entropy, hips) for entropy, hips in predictions if not faces_away(hips)]
         if not found:
@@ -322,7 +287,19 @@ class Denoiser:
         """Make the denoiser for all frames of a mesh; `ranked` is the canonical order of its vertices, if known."""
         ranked = canonical_order(mesh.vertices) if ranked is None else ranked
         faces = ranked.group[mesh.faces]
-        return cls(ranked, faces, _adjacent_faces(faces) if len(faces) else np.zeros((0, 2), np.int64))
+        if len(faces) == 0:
+            return cls(ranked, faces, np.zeros((0, 2), np.int64))
+        # Faces that share an edge and wind alike: one has it from a to b, the other from b to a.
+        start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
+        rising, falling = np.flatnonzero(start < end), np.flatnonzero(start > end)
+        # A rising edge and the falling one with the same number are the two sides of one edge.
+        number = np.maximum(start, end) * (faces.max() + 1) + np.minimum(start, end)
+        falling = falling[np.argsort(number[falling], kind="stable")]
+        position = np.searchsorted(number[falling], number[rising])
+        found = position < len(falling)
+        rising, opposite = rising[found], falling[position[found]]
+        shared = number[rising] == number[opposite]
+        return cls(ranked, faces, np.stack([rising[shared] // 3, opposite[shared] // 3], axis=1))
 
     @cached_property
     def mean(self) -> csr_array:
@@ -349,42 +326,20 @@ class Denoiser:
         return float(((first * second).sum(axis=1) < 0).mean()) if len(self.adjacent) else 0.0
 
 
-def _adjacent_faces(faces: Int[np.ndarray, "F 3"]) -> Int[np.ndarray, "P 2"]:
-    """Return pairs of faces that share an edge and wind alike: one has it from a to b, the other from b to a."""
-    start, end = faces.reshape(-1), np.roll(faces, -1, axis=1).reshape(-1)
-    rising, falling = np.flatnonzero(start < end), np.flatnonzero(start > end)
-    # A rising edge and the falling one with the same number are the two sides of one edge.
-    number = np.maximum(start, end) * (faces.max() + 1) + np.minimum(start, end)
-    falling = falling[np.argsort(number[falling], kind="stable")]
-    position = np.searchsorted(number[falling], number[rising])
-    found = position < len(falling)
-    rising, opposite = rising[found], falling[position[found]]
-    shared = number[rising] == number[opposite]
-    return np.stack([rising[shared] // 3, opposite[shared] // 3], axis=1)
-
-
 def face_outward(mesh: Mesh) -> Mesh:
     """Reverse all faces of a mesh that is inside out, as after a mirroring, and keep one of faces drawn twice."""
-    mesh = _without_copies(mesh)
+    corners = np.sort(weld(mesh.vertices)[1][mesh.faces], axis=1)
+    first, _ = distinct_rows(list(corners.T))
+    # Programs for interiors write each face with its back, in the opposite winding: half of the normals would point
+    # inwards. The first of two is the front; fewer than BACKS stay, so that the order of faces says nothing elsewhere.
+    if len(corners) - len(first) > BACKS * len(corners):
+        kept = mesh.faces[np.sort(first)]
+        mesh = dataclasses.replace(mesh, faces=kept, corner_uv=None, corner_normals=None, parts=())
     vectors = face_vectors(mesh.vertices - mesh.vertices.mean(axis=0), mesh.faces)
     corners = mesh.vertices[mesh.faces[:, 0]] - mesh.vertices.mean(axis=0)
     # The signed volumes of the tetrahedra from the centroid to each face add up to the enclosed volume.
     volume, area = (corners * vectors).sum() / 6, np.linalg.norm(vectors, axis=1).sum() / 2
     return dataclasses.replace(mesh, faces=mesh.faces[:, ::-1]) if volume < INVERTED * area**1.5 else mesh
-
-
-def _without_copies(mesh: Mesh) -> Mesh:
-    """Keep the first of faces between the same three positions, without texture coordinates.
-
-    Programs for interiors write each face with its back, in the opposite winding: half of the normals would point
-    inwards, and those of vertices cancel. The first of two is the front; fewer than BACKS stay, so that the order of
-    faces says nothing elsewhere.
-    """
-    corners = np.sort(weld(mesh.vertices)[1][mesh.faces], axis=1)
-    first, _ = distinct_rows(list(corners.T))
-    if len(corners) - len(first) <= BACKS * len(corners):
-        return mesh
-    return dataclasses.replace(mesh, faces=mesh.faces[np.sort(first)], corner_uv=None, corner_normals=None, parts=())
 
 
 def softmax(scores: Float[np.ndarray, "V J"]) -> Float[np.ndarray, "V J"]:

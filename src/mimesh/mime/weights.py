@@ -125,7 +125,11 @@ def clean_weights(
     distance, pairs = bone_distances(parents, trunk), edges(faces)
     strongest = weights.argmax(axis=1)
     cut = distance[strongest[pairs[:, 0]], strongest[pairs[:, 1]]] >= MAX_BONES
-    wrong = _disconnected(cut, pairs, vertices, faces)
+    # Components of the mesh as it was (eyes, shoes) are surfaces of their own, each with its own largest component.
+    surface, component = (component_labels(uncut, len(vertices)) for uncut in (pairs, pairs[~cut]))
+    area, largest = np.bincount(component, vertex_areas(vertices, faces)), np.zeros(surface.max() + 1)
+    np.maximum.at(largest, surface, area[component])
+    wrong = area[component] < largest[surface]
     # Far influences are removed first: they would spread from the border into the components that are inpainted.
     near = np.where(distance[strongest] < MAX_BONES, weights, 0.0)
     near /= near.sum(axis=1, keepdims=True)
@@ -207,54 +211,9 @@ def _of_one_limb(
     nearest: NearestBody,
 ) -> Float[np.ndarray, "V J"]:
     """Give solid pieces to the joints of the one limb, or of the trunk, that most of them is predicted for."""
-    solid = _solid(pieces, vertices, faces)
-    if not solid.any():
-        return weights
-    mixed = (1 - BODY_SHARE) * predicted + BODY_SHARE * nearest.weights
-    summed, limbs = pieces.summed(mixed), _limbs(nearest.body)
-    votes = np.stack([summed[:, joints].sum(axis=1) for joints in limbs], axis=1)
-    limb = votes.argmax(axis=1)
-    solid &= np.sort(votes[:, 2:], axis=1)[:, -2] < OTHER_LIMB * votes.max(axis=1)  # trousers may be closed
-    rest = pieces.summed(weights)[~solid].sum(axis=0)
-    _return_lost(limb, votes, solid, pieces.area, np.array([rest[joints].sum() for joints in limbs]))
-    of_limb = np.stack([np.isin(np.arange(weights.shape[1]), joints) for joints in limbs])
-    summed = np.where(of_limb[limb], summed, 0.0)
-    summed /= np.maximum(summed.sum(axis=1, keepdims=True), 1e-30)
-    rows = np.flatnonzero(solid[pieces.piece])
-    piece = pieces.piece[rows]
-    kept = np.where(of_limb[limb[piece]], predicted[rows], 0.0)
-    weights = weights.copy()
-    weights[rows] = kept + (1 - kept.sum(axis=1, keepdims=True)) * summed[piece]
-    return weights
-
-
-def _return_lost(
-    limb: Int[np.ndarray, " P"],
-    votes: Float[np.ndarray, "P L"],
-    solid: Bool[np.ndarray, " P"],
-    area: Float[np.ndarray, " P"],
-    rest: Float[np.ndarray, " L"],
-) -> None:
-    """Give limbs that hardly any of the surface is of the solid pieces that they narrowly lost: figures have all limbs.
-
-    Args:
-        limb: of each piece, changed in place.
-        votes: for each limb.
-        rest: area of each limb without solid pieces.
-    """
-    held = rest + np.bincount(limb[solid], area[solid], minlength=len(rest))
-    for lost in np.flatnonzero(held < LEAST_LIMB * area.sum()):
-        best = int(np.where(solid, votes[:, lost], 0.0).argmax())
-        if votes[best, lost] > NARROW * votes[best].max():
-            limb[best] = lost
-
-
-def _solid(
-    pieces: _Pieces, vertices: Float[np.ndarray, "V 3"], faces: Int[np.ndarray, "F 3"]
-) -> Bool[np.ndarray, " P"]:
-    """Find the pieces that are closed and convex; flat ones are not."""
     from scipy.spatial import ConvexHull, QhullError
 
+    # Solid pieces are closed and convex; flat ones are not.
     faces = faces[(faces != np.roll(faces, 1, axis=1)).all(axis=1)]  # corners that share a position have no volume
     solid = pieces.parts & (pieces.area > SOLID_AREA * pieces.area.sum())
     solid[pieces.piece[border_edges(faces).ravel()]] = False
@@ -266,7 +225,30 @@ def _solid(
             solid[k] = volume[k] > SOLID * ConvexHull(vertices[pieces.piece == k]).volume
         except QhullError:
             solid[k] = False
-    return solid
+    if not solid.any():
+        return weights
+    mixed = (1 - BODY_SHARE) * predicted + BODY_SHARE * nearest.weights
+    summed, limbs = pieces.summed(mixed), _limbs(nearest.body)
+    votes = np.stack([summed[:, joints].sum(axis=1) for joints in limbs], axis=1)
+    limb = votes.argmax(axis=1)
+    solid &= np.sort(votes[:, 2:], axis=1)[:, -2] < OTHER_LIMB * votes.max(axis=1)  # trousers may be closed
+    rest = pieces.summed(weights)[~solid].sum(axis=0)
+    held = np.array([rest[joints].sum() for joints in limbs])
+    held += np.bincount(limb[solid], pieces.area[solid], minlength=len(limbs))
+    # Figures have all limbs: one that hardly any of the surface is of gets the solid piece that it narrowly lost.
+    for lost in np.flatnonzero(held < LEAST_LIMB * pieces.area.sum()):
+        best = int(np.where(solid, votes[:, lost], 0.0).argmax())
+        if votes[best, lost] > NARROW * votes[best].max():
+            limb[best] = lost
+    of_limb = np.stack([np.isin(np.arange(weights.shape[1]), joints) for joints in limbs])
+    summed = np.where(of_limb[limb], summed, 0.0)
+    summed /= np.maximum(summed.sum(axis=1, keepdims=True), 1e-30)
+    rows = np.flatnonzero(solid[pieces.piece])
+    piece = pieces.piece[rows]
+    kept = np.where(of_limb[limb[piece]], predicted[rows], 0.0)
+    weights = weights.copy()
+    weights[rows] = kept + (1 - kept.sum(axis=1, keepdims=True)) * summed[piece]
+    return weights
 
 
 def _rigid_pieces(
@@ -287,8 +269,10 @@ def _rigid_pieces(
             joint[k], rigid[k] = _block_joint(summed[k], nearest.body), True
         members = np.split(np.argsort(piece, kind="stable"), np.cumsum(size)[:-1])
         for k in np.flatnonzero(parts & ~blocks):
-            if np.median(nearest.distance[members[k]]) > FAR:
-                joint[k], rigid[k] = _attachment(members[k], mixed, nearest.distance), True
+            away = nearest.distance[members[k]]
+            if np.median(away) > FAR:
+                near = members[k][np.argsort(away)[: max(3, int(ATTACHED * len(away)))]]
+                joint[k], rigid[k] = int(mixed[near].sum(axis=0).argmax()), True
     if not rigid.any():
         return weights
     moved_by_one = np.flatnonzero(rigid[piece])
@@ -298,7 +282,6 @@ def _rigid_pieces(
 
 
 def _block_joint(weights: Float[np.ndarray, " J"], body: str) -> int:
-    """Find the joint of a block from its summed weights."""
     limb = max(_limbs(body), key=lambda joints: weights[joints].sum())
     parents, total = sampled_body(body).parents, weights[limb].sum()
     shares = {j: weights[np.intersect1d(limb, descendants([int(j)], parents))].sum() for j in limb}
@@ -307,18 +290,9 @@ def _block_joint(weights: Float[np.ndarray, " J"], body: str) -> int:
 
 @cache
 def _limbs(name: str) -> list[Int[np.ndarray, " L"]]:
-    """List the joints of the trunk and of each limb of a shipped body."""
     body = sampled_body(name)
     limbs = [np.array(joints) for joints in limb_joints(body.names, body.parents).values()]
     return [np.setdiff1d(np.arange(len(body.parents)), np.concatenate(limbs)), *limbs]
-
-
-def _attachment(
-    vertices: Int[np.ndarray, " P"], weights: Float[np.ndarray, "V J"], distance: Float[np.ndarray, " V"]
-) -> int:
-    """Find the joint of a piece where it is nearest to the body."""
-    near = vertices[np.argsort(distance[vertices])[: max(3, int(ATTACHED * len(vertices)))]]
-    return int(weights[near].sum(axis=0).argmax())
 
 
 def bone_distances(parents: tuple[int, ...], uncounted: Collection[int] = ()) -> Int[np.ndarray, "J J"]:
@@ -331,23 +305,6 @@ def bone_distances(parents: tuple[int, ...], uncounted: Collection[int] = ()) ->
         if parent >= 0:  # parents come before their children: all distances of the parent are known
             distance[j, :j] = distance[:j, j] = distance[parent, :j] + (j not in uncounted)
     return distance
-
-
-def _disconnected(
-    cut: Bool[np.ndarray, " E"],
-    pairs: Int[np.ndarray, "E 2"],
-    vertices: Float[np.ndarray, "V 3"],
-    faces: Int[np.ndarray, "F 3"],
-) -> Bool[np.ndarray, " V"]:
-    """Find the vertices that are separated from the largest component (by area) of their surface when edges are cut.
-
-    Components of the mesh as it was (eyes, shoes) are surfaces of their own, each with its own largest component.
-    """
-    surface, component = (component_labels(uncut, len(vertices)) for uncut in (pairs, pairs[~cut]))
-    component_area = np.bincount(component, vertex_areas(vertices, faces))
-    largest_area = np.zeros(surface.max() + 1)
-    np.maximum.at(largest_area, surface, component_area[component])
-    return component_area[component] < largest_area[surface]
 
 
 def inpainted(
@@ -426,22 +383,14 @@ def corrected_weights(
     # A joint turns the bones below it: those of the parent of a displaced joint have changed, too.
     changed = far.copy()
     changed[[posed.body.parents[j] for j in np.flatnonzero(far) if j > 0]] = True
-    of_body = body_weights(points, normals, posed)
-    share = np.maximum(weights[:, changed].sum(axis=1), of_body[:, changed].sum(axis=1))[:, None].clip(0, 1)
-    return (1 - share) * weights + share * of_body
-
-
-def body_weights(
-    points: Float[np.ndarray, "N 3"], normals: Float[np.ndarray, "N 3"], posed: PosedBody
-) -> Float[np.ndarray, "N J"]:
-    """Average the weights of the points of a body that are nearest to each point, and whose normals agree."""
-    size = posed.state.size
+    # The mean weights of the points of the body that are nearest to each point, and whose normals agree.
     distance, nearest = nearest_points(posed.points, points, NEAREST)
     agreement = np.einsum("nkc,nc->nk", posed.normals[nearest], normals)
-    cost = distance + NORMAL_DISTANCE * size * (1 - agreement)
-    share = np.exp(-np.square((cost - cost.min(axis=1, keepdims=True)) / (BLUR * size)))
-    share /= share.sum(axis=1, keepdims=True)
-    return np.einsum("nk,nkj->nj", share, posed.body.weights[nearest])
+    cost = distance + NORMAL_DISTANCE * posed.state.size * (1 - agreement)
+    near = np.exp(-np.square((cost - cost.min(axis=1, keepdims=True)) / (BLUR * posed.state.size)))
+    of_body = np.einsum("nk,nkj->nj", near / near.sum(axis=1, keepdims=True), posed.body.weights[nearest])
+    share = np.maximum(weights[:, changed].sum(axis=1), of_body[:, changed].sum(axis=1))[:, None].clip(0, 1)
+    return (1 - share) * weights + share * of_body
 
 
 @dataclass(frozen=True, eq=False)

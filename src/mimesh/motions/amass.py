@@ -122,9 +122,6 @@ def load_amass(path: str | Path) -> Bvh:
 
     AMASS has z up; if the pelvis is upright along y most of the time, the file is taken to have y up, or down
     (`upright`).
-
-    Raises:
-        InputError: a damaged archive, or arrays that are missing, of other shapes or lengths, or not finite numbers.
     """
     path = Path(path)
     arrays = _read_arrays(path, MOTION)
@@ -137,22 +134,22 @@ def load_amass(path: str | Path) -> Bvh:
     # Only the root is rotated to y up; the other rotations are relative to it.
     axes = upright(rotmat[:, 0], trans)
     rotmat[:, 0] = axes @ rotmat[:, 0]
-    names = tuple(skeleton)
-    parents = tuple(names.index(parent) if parent else -1 for parent, _ in skeleton.values())
-    offsets = HEIGHT * np.array([offset for _, offset in skeleton.values()])
     notes = _lacking(arrays)
     if axes[1, 1] < 0:
         notes += ("y points down, as in the axes of a camera: the person is turned upright",)
-    return Bvh(path.stem, names, parents, offsets, {}, rotmat, trans @ axes.T, _rate(arrays, path),
-                notes=tuple(f"{path.name}: {note}" for note in notes))  # fmt: skip
+    notes = tuple(f"{path.name}: {note}" for note in notes)
+    return _assumed_body(path.stem, skeleton, rotmat, trans @ axes.T, _rate(arrays, path), notes)
+
+
+def _assumed_body(name: str, joints: dict[str, tuple], rotmat, root, rate: float, notes=()) -> Bvh:
+    names = tuple(joints)
+    parents = tuple(names.index(parent) if parent else -1 for parent, _ in joints.values())
+    offsets = HEIGHT * np.array([offset for _, offset in joints.values()])
+    return Bvh(name, names, parents, offsets, {}, rotmat, root, rate, notes=notes)
 
 
 def load_recording(path: str | Path) -> BodyRecording:
-    """Load all that an archive has for a body model, in the axes of the file.
-
-    Raises:
-        InputError: as `load_amass`, or a shape that changes from frame to frame.
-    """
+    """Load all that an archive has for a body model, in the axes of the file."""
     path = Path(path)
     arrays = _read_arrays(path, (*MOTION, *PARTS, "betas", "gender"))
     rotvec, trans = _joints_and_path(arrays, path)
@@ -184,11 +181,7 @@ def parse_betas(text: str) -> Float[np.ndarray, " K"]:
 
 
 def recording_facts(path: str | Path) -> tuple[tuple[str, str], ...]:
-    """Read what an archive says beside its motion, as name and value: gender, number of shape coefficients, frame rate.
-
-    Raises:
-        InputError: a damaged archive, or a frame rate that is no positive number.
-    """
+    """Read what an archive says beside its motion, names and values: gender, number of betas, frame rate."""
     path = Path(path)
     arrays = _read_arrays(path, RATES)
     for name in ("betas", "gender"):
@@ -206,7 +199,6 @@ def recording_facts(path: str | Path) -> tuple[tuple[str, str], ...]:
 
 
 def _gender(arrays: dict[str, np.ndarray]) -> str:
-    """Read the gender of the model, stored as text or as bytes; empty if the file does not say."""
     values = arrays.get("gender", np.zeros(0)).reshape(-1)[:1].tolist()
     texts = [value.decode(errors="replace") if isinstance(value, bytes) else str(value) for value in values]
     return "".join(filter(str.isprintable, "".join(texts)))[:20]
@@ -245,7 +237,6 @@ _BODY = ("pose_body", 3 * (len(JOINTS) - 1))
 
 
 def _read_arrays(path: Path, used: Collection[str]) -> dict[str, np.ndarray]:
-    """Read the arrays that are used, as they are stored, without unpickling."""
     with path.open("rb") as file, open_archive(file, path) as (archive, names):
         return {name: read_array(archive, name) for name in used if name in names}
 
@@ -275,34 +266,33 @@ def _joints_and_path(
         parts = {"root_orient": root[:, :3], "pose_body": body[:, : _BODY[1]]}
         # Hands follow the body in SMPL+H; jaw and eyes come between them in SMPL-X.
         parts |= {name: _rows(arrays[name], name, n, path)[:, :n] for name, n in PARTS.items() if name in arrays}
-        for name, rows in parts.items():
-            if len(rows) != len(root):
-                raise _length_error(path, "root_orient", len(root), name, len(rows))
+        _check_lengths(path, {name: len(rows) for name, rows in parts.items()})
         rotvec = np.concatenate(list(parts.values()), axis=1)
     if "trans" not in arrays:
-        return poses_of(rotvec, "poses", path), _in_place(rotvec[:, : 3 * len(JOINTS)].reshape(len(rotvec), -1, 3))
+        # A path up and down alone, on which the lower foot stays at one height, in the axes of the file.
+        rotmat = rotvec_to_rotmat(rotvec[:, : 3 * len(JOINTS)].reshape(len(rotvec), -1, 3))
+        axes = upright(rotmat[:, 0])
+        rotmat[:, 0] = axes @ rotmat[:, 0]
+        posed = _assumed_body("", JOINTS, rotmat, np.zeros((len(rotmat), 3)), DEFAULT_RATE)
+        names = posed.joint_names
+        feet = [names.index(f"{side}_{part}") for side in ("left", "right") for part in ("ankle", "foot")]
+        raised = posed.world()[1][:, feet, 1] - posed.rest()[feet, 1]
+        return poses_of(rotvec, "poses", path), (np.array([0.0, 1.0, 0.0]) * -raised.min(axis=1, keepdims=True) @ axes)
     trans = _rows(arrays["trans"], "trans", 3, path)[:, :3]
-    if len(trans) != len(rotvec):
-        raise _length_error(path, "trans", len(trans), "poses", len(rotvec))
+    _check_lengths(path, {"trans": len(trans), "poses": len(rotvec)})
     return poses_of(rotvec, "poses", path), trans
 
 
-def _in_place(rotvec: Float[np.ndarray, "T 22 3"]) -> Float[np.ndarray, "T 3"]:
-    """Compute a path up and down alone, on which the lower foot stays at one height, in the axes of the file."""
-    rotmat = rotvec_to_rotmat(rotvec)
-    axes = upright(rotmat[:, 0])
-    rotmat[:, 0] = axes @ rotmat[:, 0]
-    names = tuple(JOINTS)
-    parents = tuple(names.index(parent) if parent else -1 for parent, _ in JOINTS.values())
-    offsets = HEIGHT * np.array([offset for _, offset in JOINTS.values()])
-    posed = Bvh("", names, parents, offsets, {}, rotmat, np.zeros((len(rotmat), 3)), DEFAULT_RATE)
-    feet = [names.index(f"{side}_{part}") for side in ("left", "right") for part in ("ankle", "foot")]
-    raised = posed.world()[1][:, feet, 1] - posed.rest()[feet, 1]
-    return np.array([0.0, 1.0, 0.0]) * -raised.min(axis=1, keepdims=True) @ axes
+def _check_lengths(path: Path, rows: dict[str, int]) -> None:
+    (first, count), *others = rows.items()
+    for name, other in others:
+        if other != count:
+            raise InputError(
+                f"{path}: expected as many rows in '{first}' as in '{name}', found {count} and {other}; save them again"
+            )
 
 
 def _lacking(arrays: dict[str, np.ndarray]) -> tuple[str, ...]:
-    """Say what an archive lacks, and what is taken instead."""
     notes = ()
     if "trans" not in arrays:
         notes += ("no 'trans': the person stays in place, with the lower foot on the ground",)
@@ -330,7 +320,6 @@ def _rows(values: np.ndarray, name: str, width: int, path: Path) -> Float[np.nda
 
 
 def _rate(arrays: dict[str, np.ndarray], path: Path) -> float:
-    """Read the frame rate; raise InputError if it is not a positive number."""
     found = next((arrays[name] for name in RATES if name in arrays), np.array(DEFAULT_RATE))
     with contextlib.suppress(ValueError):  # text, which some tools write
         found = found.astype(np.float64) if found.size == 1 and found.dtype.kind in "US" else found
@@ -358,11 +347,3 @@ def upright(
 
 def _within(values: Float[np.ndarray, " T"], low: float, high: float) -> bool:
     return bool(low < values.min() and values.max() < high)
-
-
-def _length_error(path: Path, first: str, first_rows: int, second: str, second_rows: int) -> InputError:
-    """Make the error of two arrays with different numbers of frames."""
-    return InputError(
-        f"{path}: expected as many rows in '{first}' as in '{second}', found {first_rows} and {second_rows}; "
-        "save them again"
-    )

@@ -68,9 +68,6 @@ def gait_clip(name: str, gait: str, index: int = 0, *, seconds: float = 2.0, fps
         name: a key of `bodies.animals.ANIMALS`.
         gait: a key of RUNS or POSTURES.
         index: chooses among random motions of that kind.
-
-    Raises:
-        InputError: no animal has this name.
     """
     body, size = animal_body(name), ANIMALS[name].size
     if gait in RUNS:
@@ -118,38 +115,8 @@ def run(
     """
     phase = (np.arange(STEPS)[:, None] / STEPS - gait.phases) % 1.0
     stands = phase < gait.duty
-    soles = _soles(body, gait_pose(body, gait, style, np.arange(STEPS) / STEPS, not gait.back) @ stand, stand)
-    mean = np.where(stands[..., None], soles, 0.0).sum(axis=0) / stands.sum(axis=0)[:, None]
-    # One speed for all feet: how far those that stand go back, over the share of the cycle in which they do.
-    later = phase - gait.duty / 2
-    distance = -float((np.where(stands, later * (soles[..., 2] - mean[:, 2]), 0.0)).sum() / (stands * later**2).sum())
-    height = _root_height(soles[..., 1], stands, phase / gait.duty)
-    error = np.stack([mean[:, 0] - soles[..., 0], -soles[..., 1] - height[:, None], mean[:, 2] - soles[..., 2]], -1)
-    error[..., 2] -= distance * later
-    error = _faded(error, phase, gait.duty)
-    air = ((phase - gait.duty) / (1 - gait.duty)).clip(0, 1)
-    missing = CLEARANCE * style.lift * np.sin(np.pi * air) - soles[..., 1] - height[:, None] - error[..., 1]
-    error[..., 1] += np.where(stands, 0.0, missing.clip(min=0))
-    rotmat = gait_pose(body, gait, style, cycle, not gait.back) @ stand
-    at = np.arange(STEPS) / STEPS
-    for k, joints in enumerate(_leg_joints(body)):
-        offset = np.stack([np.interp(cycle, at, error[:, k, axis], period=1.0) for axis in range(3)], axis=1)
-        rotmat = _with_moved_ankle(body, rotmat, joints, offset)
-    root = np.stack([0.0 * cycle, np.interp(cycle, at, height, period=1.0), distance * (cycle - cycle[0])], axis=1)
-    return rotmat, root
-
-
-def _leg_joints(body: RiggedBody) -> list[tuple[int, ...]]:
-    """List hip, knee and ankle of each of LEGS."""
-    of_leg = {("Right" if leg[0].startswith("Right") else "Left", "Thigh" in leg[0]): leg for leg in QUADRUPED.legs}
-    sides = [("Right" if leg.startswith("Right") else "Left", leg.endswith("Hind")) for leg in LEGS]
-    return [tuple(body.joint(joint) for joint in of_leg[side]) for side in sides]
-
-
-def _soles(
-    body: RiggedBody, rotmat: Float[np.ndarray, "T J 3 3"], stand: Float[np.ndarray, "J 3 3"]
-) -> Float[np.ndarray, "T L 3"]:
-    """Compute where the sole of each of LEGS is, with the root at rest: its mean over the ground, its lowest height."""
+    rotmat = gait_pose(body, gait, style, np.arange(STEPS) / STEPS, not gait.back) @ stand
+    # With the root at rest: the mean of each sole over the ground, and its lowest height.
     standing_height, soles = body.posed(np.zeros(0), stand)[:, 1], []
     for _, _, ankle in _leg_joints(body):
         foot = np.flatnonzero(body.weights[:, descendants([ankle], body.parents)[1:]].sum(axis=1) > 0.5)
@@ -158,7 +125,41 @@ def _soles(
         place = part[:, np.isin(foot, sole)].mean(axis=1)
         place[:, 1] = part[..., 1].min(axis=1)
         soles.append(place)
-    return np.stack(soles, axis=1)
+    soles = np.stack(soles, axis=1)
+    mean = np.where(stands[..., None], soles, 0.0).sum(axis=0) / stands.sum(axis=0)[:, None]
+    # One speed for all feet: how far those that stand go back, over the share of the cycle in which they do.
+    later = phase - gait.duty / 2
+    distance = -float((np.where(stands, later * (soles[..., 2] - mean[:, 2]), 0.0)).sum() / (stands * later**2).sum())
+    height = _root_height(soles[..., 1], stands, phase / gait.duty)
+    error = np.stack([mean[:, 0] - soles[..., 0], -soles[..., 1] - height[:, None], mean[:, 2] - soles[..., 2]], -1)
+    error[..., 2] -= distance * later
+    air = ((phase - gait.duty) / (1 - gait.duty)).clip(0, 1)
+    # Corrections of standing feet stay; in the air they fade from that of the last stand to that of the next one.
+    faded = error.copy()
+    for k in range(error.shape[1]):
+        swings: Int[np.ndarray, " S"] = np.flatnonzero(phase[:, k] >= gait.duty)
+        last = error[np.where(phase[:, k] < gait.duty, phase[:, k], -1).argmax(), k]
+        first = error[phase[:, k].argmin(), k]
+        away, back = 1 - smooth_step(air[swings, k], (0.0, 0.5)), smooth_step(air[swings, k], (0.5, 1.0))
+        faded[swings, k] = away[:, None] * last + back[:, None] * first
+    error = faded
+    missing = CLEARANCE * style.lift * np.sin(np.pi * air) - soles[..., 1] - height[:, None] - error[..., 1]
+    error[..., 1] += np.where(stands, 0.0, missing.clip(min=0))
+    rotmat = gait_pose(body, gait, style, cycle, not gait.back) @ stand
+    at = np.arange(STEPS) / STEPS
+    for k, joints in enumerate(_leg_joints(body)):
+        offset = np.stack([np.interp(cycle, at, error[:, k, axis], period=1.0) for axis in range(3)], axis=1)
+        world, displaced = body.skinning_transforms(body.joints, rotmat)
+        positions = (world @ body.joints[..., None])[..., 0] + displaced
+        rotmat = local_rotations(move_ankle(world, positions, joints, offset, body.parents), body.parents)
+    root = np.stack([0.0 * cycle, np.interp(cycle, at, height, period=1.0), distance * (cycle - cycle[0])], axis=1)
+    return rotmat, root
+
+
+def _leg_joints(body: RiggedBody) -> list[tuple[int, ...]]:
+    of_leg = {("Right" if leg[0].startswith("Right") else "Left", "Thigh" in leg[0]): leg for leg in QUADRUPED.legs}
+    sides = [("Right" if leg.startswith("Right") else "Left", leg.endswith("Hind")) for leg in LEGS]
+    return [tuple(body.joint(joint) for joint in of_leg[side]) for side in sides]
 
 
 def _root_height(
@@ -177,27 +178,3 @@ def _root_height(
     total = weight.sum(axis=1)
     small = 0.02 * total.mean() * len(at) * np.diag([0.0] + [1.0] * 2 * HARMONICS)
     return basis @ np.linalg.solve(basis.T @ (total[:, None] * basis) + small, -basis.T @ (weight * soles).sum(axis=1))
-
-
-def _faded(
-    error: Float[np.ndarray, "T L 3"], phase: Float[np.ndarray, "T L"], duty: float
-) -> Float[np.ndarray, "T L 3"]:
-    """Keep the corrections of standing feet; in the air, fade from that of the last stand to that of the next one."""
-    air = ((phase - duty) / (1 - duty)).clip(0, 1)
-    faded = error.copy()
-    for k in range(error.shape[1]):
-        swings: Int[np.ndarray, " S"] = np.flatnonzero(phase[:, k] >= duty)
-        last, first = error[np.where(phase[:, k] < duty, phase[:, k], -1).argmax(), k], error[phase[:, k].argmin(), k]
-        away, back = 1 - smooth_step(air[swings, k], (0.0, 0.5)), smooth_step(air[swings, k], (0.5, 1.0))
-        faded[swings, k] = away[:, None] * last + back[:, None] * first
-    return faded
-
-
-def _with_moved_ankle(
-    body: RiggedBody, rotmat: Float[np.ndarray, "T J 3 3"], leg: tuple[int, ...], offset: Float[np.ndarray, "T 3"]
-) -> Float[np.ndarray, "T J 3 3"]:
-    """Return local joint rotations with which the ankle of a leg is moved by an offset, as far as the leg reaches."""
-    world, displaced = body.skinning_transforms(body.joints, rotmat)
-    positions = (world @ body.joints[..., None])[..., 0] + displaced
-    turned = move_ankle(world, positions, leg, offset, body.parents)
-    return local_rotations(turned, body.parents)

@@ -85,9 +85,6 @@ def animal_rig(
         path: in error messages.
 
     Returns the rig, and the order of its joints: joint k is joint `order[k]` of `character`.
-
-    Raises:
-        InputError: there are no four legs on one skeleton.
     """
     facing = character.turned(turn)
     joints = name_animal_joints(facing, path)

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
+from ..bodies.sampling import rotvec_to_rotmat
 from ..core.budgets import DEPTH, FRAMES, JOINTS, POSED_JOINTS
 from ..core.errors import InputError
 from ..core.printable import listed
@@ -175,7 +176,6 @@ def _read_hierarchy(text: str, path: Path):
 
 
 def _line_of_word(text: str, number: int) -> int:
-    """Return the line, from 1, of a word of a text, counted from 0."""
     starts = [word.start() for word in re.finditer(r"\S+", text)]
     return text.count("\n", 0, starts[min(number, len(starts) - 1)]) + 1
 
@@ -271,7 +271,8 @@ def _apply_channels(channels, values, offsets):
         path = np.tile(offsets[j], (frames, 1))
         for kind, axis in kinds:
             if kind == "rotation":
-                rotmat[:, j] = rotmat[:, j] @ _about_axis(axis, np.radians(values[:, column]))
+                turn = np.radians(values[:, column, None]) * np.eye(3)[axis]
+                rotmat[:, j] = rotmat[:, j] @ rotvec_to_rotmat(turn)
             elif kind == "position":
                 path[:, axis] = values[:, column]
             column += 1
@@ -284,14 +285,3 @@ def _apply_channels(channels, values, offsets):
             if j not in moved or not offsets[j].any():
                 offsets[j] = path.mean(axis=0)
     return rotmat, root, moved, offsets
-
-
-def _about_axis(axis: int, angle: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T 3 3"]:
-    """Compute rotation matrices by `angle` (radians) about coordinate axis 0, 1 or 2."""
-    rotmat = np.zeros((len(angle), 3, 3))
-    b, c = (axis + 1) % 3, (axis + 2) % 3
-    rotmat[:, axis, axis] = 1.0
-    rotmat[:, b, b] = rotmat[:, c, c] = np.cos(angle)
-    rotmat[:, c, b] = np.sin(angle)
-    rotmat[:, b, c] = -np.sin(angle)
-    return rotmat

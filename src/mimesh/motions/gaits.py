@@ -145,21 +145,11 @@ def gait_pose(
     for k in range(1, 7):
         bend(f"Tail{k}", style.tail / 6)
         bend(f"Tail{k}", style.sway * np.sin(2 * np.pi * (cycle - 0.08 * k)), axis=1)
-    for joint, degrees in leg_angles(gait, cycle, style.stride, style.lift).items():
-        bend(joint, degrees)
-    return rotvec_to_rotmat(np.radians(turn))
-
-
-def leg_angles(
-    gait: Gait, cycle: Float[np.ndarray, " T"], stride: float, lift: float
-) -> dict[str, Float[np.ndarray, " T"]]:
-    """Compute the angles of the joints of all legs in a gait."""
-    angles = {}
     for leg, start in zip(LEGS, gait.phases, strict=True):
         side, of_leg = leg.removesuffix("Hind").removesuffix("Front"), hind_leg if leg.endswith("Hind") else foreleg
-        phase = (cycle - start) % 1.0
-        angles |= {side + joint: angle for joint, angle in of_leg(phase, gait.duty, stride, lift).items()}
-    return angles
+        for joint, degrees in of_leg((cycle - start) % 1.0, gait.duty, style.stride, style.lift).items():
+            bend(side + joint, degrees)
+    return rotvec_to_rotmat(np.radians(turn))
 
 
 def swing(phase: Float[np.ndarray, " T"], duty: float) -> tuple[Float[np.ndarray, " T"], Float[np.ndarray, " T"]]:

@@ -121,8 +121,11 @@ class HumanoidRig:
         columns, frames = character.nearest_columns(column_of, 0), dict(self.frames)
         weights = character.summed_weights(columns, len(names))
         for side, palm in self.palms.items():
-            place, frames[f"{side}Hand"] = names.index(f"{side}ForeArm") + 1, palm
-            hand, at_rest = _hand_on_forearm(side, names, world, rest)
+            forearm, frames[f"{side}Hand"] = names.index(f"{side}ForeArm"), palm
+            knuckles = [names.index(name) for name in finger_joints(side) if name in names and name.endswith("1")]
+            place, at_rest = forearm + 1, rest[forearm].copy()
+            at_rest[:3, 3] = rest[knuckles, :3, 3].mean(axis=0)
+            hand = world[:, forearm] @ np.linalg.pinv(rest[forearm]) @ at_rest
             names = (*names[:place], f"{side}Hand", *names[place:])
             world, rest = np.insert(world, place, hand, axis=1), np.insert(rest, place, at_rest, axis=0)
             weights = np.insert(weights, place, 0.0, axis=1)
@@ -176,17 +179,6 @@ class HumanoidRig:
         return found
 
 
-def _hand_on_forearm(
-    side: str, names: tuple[str, ...], world: Float[np.ndarray, "T K 4 4"], rest: Float[np.ndarray, "K 4 4"]
-) -> tuple[Float[np.ndarray, "T 4 4"], Float[np.ndarray, "4 4"]]:
-    """Return the transforms of a hand without a joint, which is where its fingers begin, over time and at rest."""
-    forearm = names.index(f"{side}ForeArm")
-    knuckles = [name for name in finger_joints(side) if name in names and name.endswith("1")]
-    at_rest = rest[forearm].copy()
-    at_rest[:3, 3] = rest[[names.index(name) for name in knuckles], :3, 3].mean(axis=0)
-    return world[:, forearm] @ np.linalg.pinv(rest[forearm]) @ at_rest, at_rest
-
-
 def humanoid_rig(
     character: SkinnedCharacter,
     turn: Float[np.ndarray, "3 3"],
@@ -204,9 +196,6 @@ def humanoid_rig(
         path: in error messages.
 
     Returns the rig, and the order of its joints: joint k is joint `order[k]` of `character`.
-
-    Raises:
-        InputError: limbs are not found by name, or are no chains.
     """
     facing = character.turned(turn)
     joints = name_limb_joints(facing, path, known)

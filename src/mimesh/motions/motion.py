@@ -70,11 +70,7 @@ def window(motion: Motion, start: float, stop: float, name: str | None = None) -
 
 
 def cut_motion(motion: Motion, frames: slice) -> Motion:
-    """Select frames by their numbers; the frame rate is divided by the step, as in `core.mesh.cut_clip`.
-
-    Raises:
-        InputError: no frame is left, or the step is not positive.
-    """
+    """Select frames by their numbers; the frame rate is divided by the step, as in `core.mesh.cut_clip`."""
     check_cut(motion.name, len(motion), frames)
     rate = motion.fps / (frames.step or 1)
     return dataclasses.replace(motion, rotmat=motion.rotmat[frames], root=motion.root[frames], fps=rate)
@@ -161,9 +157,6 @@ def motion_clip(body: RiggedBody, shape: Float[np.ndarray, " K"] | None, motion:
     The root's path is scaled by the ratio of the person's leg length to the mean shape's. Foot contacts are not
     enforced, and intersections of limbs with the body are not resolved. The frames of long clips are stored on disk
     (`core.frame_buffer`).
-
-    Raises:
-        InputError: the motion is of another skeleton.
     """
     shape = np.zeros(0) if shape is None else shape
     _, root = _joints_and_path(body, motion, shape)

@@ -1,7 +1,12 @@
-"""Convert motion files (BVH, AMASS-style archives) to clips of the shipped body."""
+"""Convert motion files (BVH, AMASS-style archives) to clips of the shipped body.
+
+Skeletons of animals play on the shipped quadruped. Their joints are found as those of a rigged mesh (`animal_rig`),
+with points along the bones in place of a surface.
+"""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 from dataclasses import dataclass
 from functools import lru_cache
@@ -11,21 +16,25 @@ from typing import Any
 import numpy as np
 
 from ..bodies import RiggedBody, load_body
+from ..bodies.character_pool import facing_rotation
 from ..bodies.hands import body_with_fingers
 from ..bodies.joint_names import captured_fingers, named_joints
+from ..bodies.skinned_character import SkinnedCharacter
 from ..core.animated_rig import AnimatedRig
 from ..core.budgets import check_clip_size
+from ..core.errors import InputError
 from ..core.frame_buffer import PosedFrames
+from ..core.geometry import rotation_between
 from ..core.mesh import Clip, Mesh
 from ..core.npz_archive import archive_names
 from ..core.person_motion import KnownJoints, PersonMotion
-from ..core.rig import Rig
+from ..core.rig import Rig, homogeneous, local_rotations
 from ..core.skinning import SkinnedMesh
 from .amass import is_amass, load_amass
-from .animal_skeleton import retarget_animal
+from .animal_rig import animal_facing, animal_rig
 from .bvh import Bvh, load_bvh
 from .motion import Motion, cut_motion, joint_tracks, leg_length, resample
-from .retarget import NEEDED, rests_standing, retarget_skeleton, righted
+from .retarget import NEEDED, on_floor, rests_standing, retarget_skeleton, righted
 
 BVH = ".bvh"
 """Suffix of BVH files."""
@@ -61,9 +70,6 @@ def on_body(source: Bvh, path: str | Path) -> BodyMotion:
     """Retarget a skeleton's motion to the shipped body, at its frame rate; errors name `path`.
 
     What does not stand as a person in its rest pose, and has four legs there, moves the shipped quadruped.
-
-    Raises:
-        InputError: the hips and limbs are not found by name.
     """
     upright = righted(source)
     known = named_joints(source.joint_names, source.parents)
@@ -85,17 +91,12 @@ def on_body(source: Bvh, path: str | Path) -> BodyMotion:
 
 
 def motion_of_file(path: str | Path) -> Motion:
-    """Load a motion file and retarget it to the shipped body without fingers, at the file's frame rate.
-
-    Raises:
-        InputError: a damaged file, or a skeleton in which the hips and limbs are not found by name.
-    """
+    """Load a motion file and retarget it to the shipped body without fingers, at the file's frame rate."""
     source = righted(_load(path))
     return dataclasses.replace(retarget_skeleton(source, load_body(), str(path)), name=source.name)
 
 
 def _load(path: str | Path) -> Bvh:
-    """Load the skeleton and motion of a motion file."""
     return load_bvh(path) if Path(path).suffix.lower() == BVH else load_amass(path)
 
 
@@ -104,9 +105,6 @@ def motion_file_clip(path: str | Path, fps: float | None = None, frames: slice =
 
     The frame rate is that of the file, or `fps`: the motion is resampled, so that frame k is at k / fps seconds.
     The chosen `frames` are those of the whole clip: the rest pose and the floor are found from all frames.
-
-    Raises:
-        InputError: as `motion_of_file`, a frame rate that is not positive, or no frame is left.
     """
     path = Path(path)
     facts = path.stat() if path.is_file() else None  # reading a missing one tells what is wrong
@@ -157,16 +155,61 @@ def played_rig(clip: Clip) -> AnimatedRig:
 
 
 def _body_of(joints: int) -> RiggedBody:
-    """Return the shipped body with so many joints: without fingers, with them, or the quadruped."""
     bodies = (load_body, body_with_fingers, lambda: load_body("quadruped"))
     return next(body for body in (load() for load in bodies) if len(body.parents) == joints)
 
 
 def _at_rest(body: RiggedBody) -> Rig:
-    """Return the rig of a body at rest, where no joint is turned."""
     return Rig(np.tile(np.eye(3), (len(body.parents), 1, 1)), body.joints, body.weights)
 
 
 def first_frame(whole: BodyMotion) -> Mesh:
     """Make a mesh of the shipped body in the first frame of a motion."""
     return dataclasses.replace(whole, motion=cut_motion(whole.motion, slice(1))).clip().mesh
+
+
+UPS = ((0.0, 1.0, 0.0), (0.0, 0.0, 1.0))
+"""Directions away from the ground that a rest pose is tried in, in this order."""
+STEPS = 8
+"""Points along each bone."""
+NEAR_GROUND = 0.3
+"""Height, in heights of the skeleton, up to which the end of a chain is a foot. Captured foxes have 0.2."""
+
+
+def retarget_animal(source: Bvh) -> Motion | None:
+    """Retarget the motion of an animal to the shipped quadruped, at its frame rate; None if none rests on four legs.
+
+    The trunk is taken for level at rest. The root's path is scaled by the ratio of leg lengths and starts above the
+    origin; the floor is estimated from the result, as in `retarget_skeleton`. Joints that the source lacks are not
+    rotated.
+    """
+    for up in np.array(UPS):
+        # A character of points along the bones at rest; each bone moves with the joint at its top. Chains that end near
+        # the ground reach it: rest poses of captures may stand on two of four feet.
+        rest, names = source.rest(), source.joint_names
+        bones = [(parent, rest[j]) for j, parent in enumerate(source.parents) if parent >= 0]
+        ends = [(j, rest[j] + source.ends.get(names[j], 0.0)) for j in range(len(rest)) if j not in source.parents]
+        heights = np.array([tail for _, tail in (*bones, *ends)]) @ up
+        low, reach = heights.min(), NEAR_GROUND * np.ptp(heights)
+        bones += [*ends, *((j, end - (end @ up - low) * up) for j, end in ends if end @ up < low + reach)]
+        bone = np.repeat([top for top, _ in bones], STEPS)
+        share = np.tile(np.linspace(0, 1, STEPS), len(bones))[:, None]
+        points = rest[bone] * (1 - share) + np.repeat([tail for _, tail in bones], STEPS, axis=0) * share
+        mesh = Mesh(points, np.zeros((0, 3), int), name=source.name)
+        one, frames = np.ones((len(points), 1)), homogeneous(np.tile(np.eye(3), (len(rest), 1, 1)), rest)
+        figure = SkinnedCharacter(mesh, names, source.parents, frames, bone[:, None], one, points[:, None])
+        upright = rotation_between(up, np.array(UPS[0]))
+        with contextlib.suppress(InputError):
+            facing = animal_facing(figure.turned(upright), source.name)
+            rig, order = animal_rig(figure, facing_rotation(facing) @ upright, source.name)
+            break
+    else:
+        return None
+    body, (rotation, position) = rig.body, source.world()
+    target = np.empty((len(rotation), len(body.joint_names), 3, 3))
+    for j, (joint, parent) in enumerate(zip(body.joint_names, body.parents, strict=True)):
+        known = rig.joints.get(joint)
+        target[:, j] = target[:, parent] if known is None else rig.turn @ rotation[:, order[known]] @ rig.frames[joint]
+    scale = leg_length(body.joints, body.joint_names) / rig.leg
+    path = on_floor(position[:, order[rig.joints["Hips"]]] @ rig.turn.T * scale, target, body)
+    return Motion(source.name, body.joint_names, local_rotations(target, body.parents), path, source.fps)

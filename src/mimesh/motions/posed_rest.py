@@ -18,6 +18,7 @@ from jaxtyping import Float
 from ..bodies.character_limbs import SIDES, Limb, carried_vertices
 from ..bodies.hands import body_with_fingers, hand_frames, has_hand
 from ..bodies.joint_names import ancestors
+from ..bodies.sampling import rotvec_to_rotmat
 from ..bodies.skinned_character import SkinnedCharacter
 from ..core.geometry import angles_between, frames_along, nearest_rotation, rotation_between, unit_vectors
 from .rest_calibration import HINGES, hinge_rotations, nearest_axes, paired_axes
@@ -97,7 +98,10 @@ def action_frames(character: SkinnedCharacter, joints: Mapping[str, int], limbs:
     """
     body, positions = body_with_fingers(), {name: character.joints[j] for name, j in joints.items()}
     axes = {name: nearest_rotation(character.T_world_joint[j, :3, :3]) for name, j in joints.items()}
-    if not _tell(axes, positions, limbs):
+    # Frames tell if they are near those of a T-pose at hips and thighs, whose estimates are good.
+    hips = _trunk_frames(positions, {})["Hips"]
+    found = {"Hips": hips} | {f"{side}UpLeg": _estimates(limbs, side, HINGES[0], hips)[0][0] for side in SIDES}
+    if any(angles_between(near, _by_axes(near, axes[name])) >= NEAR for name, near in found.items()):
         axes = {}
     frames = _trunk_frames(positions, axes)
     legs, arms = HINGES
@@ -112,13 +116,6 @@ def action_frames(character: SkinnedCharacter, joints: Mapping[str, int], limbs:
             frames |= hand_frames(positions, frames[next(name for name in above if name in frames)], side)
     above = {name: [body.joint_names[j] for j in ancestors(body.parents, body.joint(name))] for name in joints}
     return frames | {name: frames[next(known for known in above[name] if known in frames)] for name in joints}
-
-
-def _tell(axes: Frames, joints: Positions, limbs: Mapping[str, Limb]) -> bool:
-    """Tell whether frames are near those of a T-pose: those of hips and thighs, whose estimates are good."""
-    hips = _trunk_frames(joints, {})["Hips"]
-    found = {"Hips": hips} | {f"{side}UpLeg": _estimates(limbs, side, HINGES[0], hips)[0][0] for side in SIDES}
-    return all(angles_between(estimate, _by_axes(estimate, axes[name])) < NEAR for name, estimate in found.items())
 
 
 def _trunk_frames(joints: Positions, axes: Frames) -> Frames:
@@ -182,7 +179,7 @@ def _estimates(
     body, (*names, direction) = body_with_fingers(), hinge
     chain = [side + name for name in names]
     upper, lower = limbs[chain[0]], limbs.get(chain[1])
-    bone = _bone(chain[0], chain[1])
+    bone = body.joints[body.joint(chain[1])] - body.joints[body.joint(chain[0])]
     straight = rotation_between(trunk @ bone, upper.end - upper.start) @ trunk
     if lower is None:
         return [[straight]]
@@ -200,21 +197,14 @@ def _foot_frame(points: Float[np.ndarray, "V 3"], shin: Float[np.ndarray, "3 3"]
     """
     if len(points) == 0:
         return shin
-    pitches = np.radians(np.arange(-ANKLE, ANKLE + 1))
-    heights = np.einsum("vk,pk->pv", points @ shin, _pitched(pitches)[..., 1])
-    turned = shin @ _pitched(pitches[(np.ptp(heights, axis=1) * (1 + BENT * np.abs(pitches))).argmin()])
+    pitches, left = np.radians(np.arange(-ANKLE, ANKLE + 1)), np.array([1.0, 0.0, 0.0])  # toes go down
+    heights = np.einsum("vk,pk->pv", points @ shin, rotvec_to_rotmat(pitches[:, None] * left)[..., 1])
+    turned = shin @ rotvec_to_rotmat(left * pitches[(np.ptp(heights, axis=1) * (1 + BENT * np.abs(pitches))).argmin()])
     height, length = (points @ turned)[:, 1:].T
     front = length > (length.min() + length.max()) / 2
     heel, ball = (int(np.where(half, height, np.inf).argmin()) for half in (~front, front))
     sole = np.arctan2(height[ball] - height[heel], length[ball] - length[heel])
-    return turned @ _pitched(-sole) if abs(np.degrees(sole)) < SOLE_PITCH else turned
-
-
-def _pitched(angle: float | Float[np.ndarray, " P"]) -> Float[np.ndarray, "*P 3 3"]:
-    """Return rotations about x (radians): toes go down."""
-    from scipy.spatial.transform import Rotation
-
-    return Rotation.from_rotvec(np.multiply.outer(angle, [1.0, 0.0, 0.0])).as_matrix()
+    return turned @ rotvec_to_rotmat(-sole * left) if abs(np.degrees(sole)) < SOLE_PITCH else turned
 
 
 def _by_axes(estimate: Float[np.ndarray, "3 3"], axes: Float[np.ndarray, "3 3"] | None) -> Float[np.ndarray, "3 3"]:
@@ -225,26 +215,16 @@ def _by_axes(estimate: Float[np.ndarray, "3 3"], axes: Float[np.ndarray, "3 3"] 
 
 
 def _chest(joints: Mapping[str, object]) -> str:
-    """Return the highest joint of the trunk below neck and head."""
     return next(name for name in reversed(TRUNK[:4]) if name in joints)
 
 
 def _trunk(joints: Positions) -> Float[np.ndarray, " 3"]:
-    """Compute the vector from the middle of the hips to that of the shoulders."""
     return _pair(joints, "Arm").mean(axis=0) - _pair(joints, "UpLeg").mean(axis=0)
 
 
 def _pair(joints: Positions, part: str) -> Float[np.ndarray, "2 3"]:
-    """Select the positions of the left and right joint of a part."""
     return np.stack([joints[side + part] for side in SIDES])
 
 
-def _bone(joint: str, tail: str) -> Float[np.ndarray, " 3"]:
-    """Return a bone of the shipped body in its T-pose."""
-    body = body_with_fingers()
-    return body.joints[body.joint(tail)] - body.joints[body.joint(joint)]
-
-
 def _angle(first: Float[np.ndarray, " 3"], second: Float[np.ndarray, " 3"]) -> float:
-    """Compute the angle (degrees) between two directions."""
     return float(np.degrees(np.arccos(np.clip(unit_vectors(first) @ unit_vectors(second), -1, 1))))

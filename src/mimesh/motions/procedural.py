@@ -40,7 +40,7 @@ def spline_motion(
     from scipy.interpolate import PchipInterpolator
 
     rng = np.random.default_rng(np.random.SeedSequence([seed, index, 2]))
-    at = np.arange(_frames(seconds, fps)) / fps
+    at = np.arange(max(round(seconds * fps), 1)) / fps
     keys = np.arange(int(np.ceil(seconds / beat)) + 2) * beat
     low, high = limits_rotvec(body, JOINT_LIMITS)
     standing = pose_of(body, LOWERED_ARMS)
@@ -60,7 +60,7 @@ def walk_motion(body: RiggedBody, seed: int, index: int, *, seconds: float = 2.0
     rng = np.random.default_rng(np.random.SeedSequence([seed, index, 3]))
     pace, stride, swing = rng.uniform(0.7, 1.1), rng.uniform(16, 30), rng.uniform(5, 35)
     elbow, stoop, lift = rng.uniform(10, 70), rng.uniform(-4, 12), rng.uniform(45, 75)
-    at = np.arange(_frames(seconds, fps)) / fps
+    at = np.arange(max(round(seconds * fps), 1)) / fps
     step = rng.random() + pace * at
     turn = rng.uniform(-np.pi, np.pi) + np.radians(rng.uniform(-35, 35)) * at
     rotmat = np.tile(np.eye(3), (len(at), len(body.joint_names), 1, 1))
@@ -127,10 +127,4 @@ def _bump(phase: Float[np.ndarray, " T"], centre: float, width: float) -> Float[
 
 
 def _about(axis: int, angle: Float[np.ndarray, " T"]) -> Float[np.ndarray, "T 3 3"]:
-    """Compute rotation matrices by `angle` (radians) about coordinate axis 0, 1 or 2."""
     return rotvec_to_rotmat(angle[:, None] * np.eye(3)[axis])
-
-
-def _frames(seconds: float, fps: float) -> int:
-    """Count the frames of a motion, at least one."""
-    return max(round(seconds * fps), 1)

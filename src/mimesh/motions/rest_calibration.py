@@ -102,12 +102,27 @@ def calibrated_joints(
     }
 
     def exact(found):
-        return {name: _with_exact_bone(name, m, rest, index, body_rest[0], body_index) for name, m in found.items()}
+        """Turn limbs by the smallest rotation that makes the body's bone parallel to the source's at rest."""
+        turned = dict(found)
+        for joint in BONES.keys() & found.keys():
+            tail, m = BONES[joint], found[joint]
+            bone = body.joints[body_index[tail]] - body.joints[body_index[joint]]
+            turned[joint] = rotation_between(m @ bone, rest[index[tail]] - rest[index[joint]]) @ m
+        return turned
 
-    found, of_axes = exact(measured), exact(_axes_of_t_pose(measured))
+    # The axis rotations that those of hips and limbs are nearest to.
+    arms = [[f"{side}Arm", f"{side}ForeArm"] for side in ("Left", "Right")]
+    both = paired_axes([np.sum([measured[joint] for joint in joints], axis=0) for joints in arms])
+    axes = {joint: nearest_axes(measured[joint]) for joint in ("Hips", *BONES) if "Arm" not in joint}
+    axes |= {joint: of_side for of_side, joints in zip(both, arms, strict=True) for joint in joints}
+    found, of_axes = exact(measured), exact(axes)
     hips = np.subtract(*(position[:, index[f"{side}UpLeg"]] for side in ("Left", "Right")))
     left = unit_vectors(_back(rotation[:, index["Hips"]], hips[..., None]).sum(0)[:, 0])
-    axial = _are_near(found, of_axes, left)
+    # Hips, thighs and shins are turned nearly as where frames have the axes of a T-pose. Of hips their left axis tells:
+    # how far they lean is not measured well where a person never stands upright.
+    lean = np.degrees(np.arccos(np.clip(left @ of_axes["Hips"][:, 0], -1, 1)))
+    legs = [angles_between(found[joint], of_axes[joint]) for joint in BONES if "Leg" in joint]
+    axial = lean < ALONG_AXES[0] and np.mean(legs) < ALONG_AXES[1]
     if axial:
         found = of_axes | {n: _without_yaw(m) for n, m in found.items() if n.endswith(("Foot", "ToeBase"))}
     # All others are turned like one of these, in the mean.
@@ -124,24 +139,6 @@ def calibrated_joints(
 def _back(rotation, turned):
     """Express rotations, or columns of vectors, in the frames of a joint."""
     return np.swapaxes(rotation, -1, -2) @ turned
-
-
-def _axes_of_t_pose(measured):
-    """Find the axis rotations that measured rotations of hips and limbs are nearest to."""
-    arms = [[f"{side}Arm", f"{side}ForeArm"] for side in ("Left", "Right")]
-    both = paired_axes([np.sum([measured[joint] for joint in joints], axis=0) for joints in arms])
-    legs = {joint: nearest_axes(measured[joint]) for joint in ("Hips", *BONES) if "Arm" not in joint}
-    return legs | {joint: axes for axes, joints in zip(both, arms, strict=True) for joint in joints}
-
-
-def _are_near(found, of_axes, left):
-    """Tell whether hips, thighs and shins are turned nearly as where frames have the axes of a T-pose.
-
-    Of hips their left axis tells: how far they lean is not measured well where a person never stands upright.
-    """
-    hips = np.degrees(np.arccos(np.clip(left @ of_axes["Hips"][:, 0], -1, 1)))
-    legs = [angles_between(found[joint], of_axes[joint]) for joint in BONES if "Leg" in joint]
-    return hips < ALONG_AXES[0] and np.mean(legs) < ALONG_AXES[1]
 
 
 def _without_yaw(measured):
@@ -261,15 +258,6 @@ def _foot_rotations(position, index, body_rest, body_index, side, shin):
     on_ground, bent = (_rotations(*zip(*vectors, strict=True)) for vectors in ((up, ahead), (ahead, leg)))
     combined = nearest_rotation(flat[:, None, None] * on_ground + BENT_WEIGHT * bent)
     return dict.fromkeys((foot, toes), (combined, flat + BENT_WEIGHT))
-
-
-def _with_exact_bone(joint, measured, rest, index, body_rest, body_index):
-    """Correct M_j by the smallest rotation that makes the body's limb bone parallel to the source's at rest."""
-    if joint not in BONES:
-        return measured
-    tail = BONES[joint]
-    bone = body_rest[body_index[tail]] - body_rest[body_index[joint]]
-    return rotation_between(measured @ bone, rest[index[tail]] - rest[index[joint]]) @ measured
 
 
 def nearest_axis(vector: Float[np.ndarray, " 3"]) -> Float[np.ndarray, " 3"]:

@@ -81,14 +81,24 @@ def retarget_skeleton(
         )
     if standing := rests_standing(rest, index):
         axes = axes_from_rest(rest, index)
-        aligned = alignments(rest @ axes.T, index, body)
+        placed = rest @ axes.T
+        bones = {joint: placed[index[tail]] - placed[index[joint]] for joint, tail in BONES.items()}
+        aligned = limb_alignments(bones, body)
         rest_rotation = {joint: axes.T @ aligned.get(joint, np.eye(3)) for joint in index}
     else:
         axes = axes_from_motion(position, index)
         rest_rotation = calibrated_joints(axes @ rotation, position @ axes.T, rest, index, body)
     if hands:
         index |= captured_fingers(source.joint_names, source.parents, index)
-        rest_rotation |= _hand_rotations(rest, index, rest_rotation)
+        # Frames of the source are parallel at rest, so fingers are placed in the frame of the hand.
+        found = {}
+        for hand in ("LeftHand", "RightHand"):
+            side = hand.removesuffix("Hand")
+            joints = [name for name in (hand, *finger_joints(side)) if name in index]
+            placed = {name: rest_rotation[hand].T @ (rest[index[name]] - rest[index[hand]]) for name in joints}
+            frames = hand_frames(placed, np.eye(3), side)
+            found |= {name: rest_rotation[hand] @ frames[name] for name in joints}
+        rest_rotation |= found
     target = np.empty((len(rotation), len(body.joint_names), 3, 3))
     for j, (joint, parent) in enumerate(zip(body.joint_names, body.parents, strict=True)):
         known = next((n for n in (joint, *followed_fingers(joint)) if n in index), None)
@@ -173,13 +183,6 @@ def rest_heading(rest: Float[np.ndarray, "J 3"], index: Mapping[str, int]) -> fl
     return angle if abs(angle) > OBLIQUE else 0.0
 
 
-def alignments(
-    rest: Float[np.ndarray, "J 3"], index: dict[str, int], body: RiggedBody
-) -> dict[str, Float[np.ndarray, "3 3"]]:
-    """Compute the rotation A_j (see the module) of limbs, hands and feet; other joints have none."""
-    return limb_alignments({joint: rest[index[tail]] - rest[index[joint]] for joint, tail in BONES.items()}, body)
-
-
 def limb_alignments(
     bones: Mapping[str, Float[np.ndarray, " 3"]], body: RiggedBody, tails: Mapping[str, str] = BONES
 ) -> dict[str, Float[np.ndarray, "3 3"]]:
@@ -207,21 +210,6 @@ def limb_alignments(
     return aligned
 
 
-def _hand_rotations(rest, index, rest_rotation):
-    """Compute M_j of hands and fingers from that of the hand as it follows the forearm.
-
-    Frames of the source are parallel at rest, so the fingers are placed in the frame of the hand.
-    """
-    found = {}
-    for hand in ("LeftHand", "RightHand"):
-        side = hand.removesuffix("Hand")
-        joints = [name for name in (hand, *finger_joints(side)) if name in index]
-        placed = {name: rest_rotation[hand].T @ (rest[index[name]] - rest[index[hand]]) for name in joints}
-        frames = hand_frames(placed, np.eye(3), side)
-        found |= {name: rest_rotation[hand] @ frames[name] for name in joints}
-    return found
-
-
 def on_floor(
     path: Float[np.ndarray, "T 3"], target: Float[np.ndarray, "T J 3 3"], body: RiggedBody, at_rest: float | None = None
 ) -> Float[np.ndarray, "T 3"]:
@@ -242,5 +230,4 @@ def on_floor(
 
 
 def _pair(rest, index, part):
-    """Select the positions of the left and right joint of a part, (2, 3)."""
     return rest[[index[f"Left{part}"], index[f"Right{part}"]]]

@@ -16,8 +16,9 @@ from ..core.frame_buffer import LazyFrames, Progress, each_frame, store_frames
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
 from ..core.options import MotionOptions
-from ..methods.base import Drive, Method, SizedMethod
+from ..methods.base import Drive, Method
 from ..methods.find import find_method
+from ..methods.npt import PaperNetwork
 from ..rigs.retarget import JointMotion
 from .file_rigs import NO_RIGS, Rigs
 from .known import Known
@@ -184,7 +185,7 @@ def _prepared(
     rigs: Rigs,
     notes: tuple[str, ...],
 ) -> VertexRoute:
-    if isinstance(method, SizedMethod):
+    if isinstance(method, PaperNetwork):
         method = method.with_sizes((identity.name, norms[0].radius), (clip.mesh.name, norms[1].radius))
     rest = normalised(identity, norms[0])
     drive = method.prepare(rest, keyframes_of(clip, norms[1]))

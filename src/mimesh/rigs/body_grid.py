@@ -79,7 +79,9 @@ class BodyGrid:
             mesh: the surface; without triangles, samples of it.
             rig: the joints in that pose, with the weights of its vertices.
         """
-        joints, undo = joints_in_t_pose(rig, parents), rig.rotation.swapaxes(-1, -2)
+        bones = np.concatenate([np.zeros((1, 3)), rig.bones(parents)])
+        joints = np.stack([bones[ancestors(parents, j)].sum(axis=0) for j in range(len(parents))])
+        undo = rig.rotation.swapaxes(-1, -2)
         points, weights = mesh.vertices, rig.weights
         points = skin_points(points, weights, undo, joints - (undo @ rig.joints[..., None])[..., 0])
         if len(mesh.faces):  # sampled in the T-pose, so that samples of one body in two poses are the same
@@ -116,7 +118,14 @@ class BodyGrid:
         for part in PARTS:
             rows = np.flatnonzero(part_of == part)
             if part.endswith("Hand"):
-                rows = _of_hand(points, rows, np.flatnonzero(part_of == part.replace("Hand", "ForeArm")), place, part)
+                above = part.replace("Hand", "ForeArm")
+                wrist, elbow = place[part], place[above]
+                length = np.linalg.norm(wrist - elbow)
+                if len(rows) < FEWEST:  # of blocks whose forearms end in hands: the end
+                    rows = np.flatnonzero(part_of == above)
+                    rows = rows[(points[rows] - elbow) @ (wrist - elbow) / length**2 > END_OF_FOREARM]
+                # Not of a prop in it: a hand is shorter than its forearm.
+                rows = rows[np.linalg.norm(points[rows] - wrist, axis=1) < length]
             line = _line(part, place, points[rows]) if len(rows) >= FEWEST else None
             if line is not None:
                 found.append(_rings(part, line, points[rows], weights[rows]))
@@ -168,12 +177,6 @@ class BodyGrid:
         return self.rings.posed_frames_at(rotation, positions - positions[:, :1]) / self.arm
 
 
-def joints_in_t_pose(rig: Rig, parents: tuple[int, ...]) -> Float[np.ndarray, "J 3"]:
-    """Compute the positions of the joints where none is turned, relative to the root, whatever the order of joints."""
-    bones = np.concatenate([np.zeros((1, 3)), rig.bones(parents)])
-    return np.stack([bones[ancestors(parents, j)].sum(axis=0) for j in range(len(parents))])
-
-
 def part_of_joint(name: str) -> str:
     """Return the part of the body that a joint of the shipped body moves; "" for feet."""
     if name in ("Neck", "Neck1", "Head"):
@@ -189,24 +192,7 @@ def part_of_joint(name: str) -> str:
     return f"{side}{own}" if own in ROWS and side else "Trunk"
 
 
-def _of_hand(
-    points: Float[np.ndarray, "N 3"],
-    hand: Int[np.ndarray, " H"],
-    forearm: Int[np.ndarray, " F"],
-    place: dict[str, np.ndarray],
-    part: str,
-) -> Int[np.ndarray, " P"]:
-    """Select the samples of a hand: not of a prop in it; of blocks whose forearms end in hands the end."""
-    wrist, elbow = place[part], place[part.replace("Hand", "ForeArm")]
-    length = np.linalg.norm(wrist - elbow)
-    if len(hand) < FEWEST:
-        along = (points[forearm] - elbow) @ (wrist - elbow) / length**2
-        hand = forearm[along > END_OF_FOREARM]
-    return hand[np.linalg.norm(points[hand] - wrist, axis=1) < length]  # a hand is shorter than its forearm
-
-
 def _line(part: str, place: dict[str, np.ndarray], surface: Float[np.ndarray, "N 3"]) -> Line | None:
-    """Return the line of a part in a T-pose; None if a joint is lacking or the line has no length."""
     side = next((side for side in SIDES if part.startswith(side)), "")
     own = part.removeprefix(side)
     following = {"UpLeg": "Leg", "Leg": "Foot", "Arm": "ForeArm", "ForeArm": "Hand"}

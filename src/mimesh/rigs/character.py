@@ -2,11 +2,15 @@
 
 Everything here is normalised: y up, +z front, bounding box centred, largest distance from its centre 1. A character is
 made of the rig of a file (`Character.of_file`), or of what `mime` finds on a bare surface (`mime.model.Mime.rig`).
+
+Fingers that a driving does not have joint by joint get the bends of those that stand for them (`stands_for`); one for
+several has their mean. So a mitten closes as far as four fingers do on average. A finger of fewer or more joints than
+the driving's has the same bend in all, spread evenly along it.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -14,7 +18,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..bodies.joint_names import ancestors, followed_fingers
+from ..bodies.character_limbs import SIDES
+from ..bodies.hands import FLEXION
+from ..bodies.joint_names import FINGERS, ancestors, followed_fingers, stands_for
+from ..bodies.sampling import rotvec_to_rotmat
 from ..core.geometry import rotate_between, unit_vectors
 from ..core.mesh import Mesh
 from ..core.normalization import Normalization
@@ -22,7 +29,6 @@ from ..core.rig import Rig
 from ..core.skinning import SkinnedMesh
 from ..core.soles import Soles, find_soles, sole_height
 from .confidence import Confidence
-from .fingers import Curl, finger_curls
 
 if TYPE_CHECKING:
     from ..motions.humanoid_rig import HumanoidRig
@@ -178,7 +184,9 @@ class Character:
             for name, end in self.whole.items()
             if name in index and end in index
         }
-        linked = LinkedJoints(_nearest_known(self.above, index), whole, finger_curls(self, index))
+        rows = ([*names[:1], *followed_fingers(names[0]), *names[1:]] if names else [] for names in self.above)
+        follows = np.array([next((index[name] for name in names if name in index), 0) for names in rows])
+        linked = LinkedJoints(follows, whole, finger_curls(self, index))
         if rest is None or not self.standing:
             return linked
         at_rest = linked.rotations(*(array[None] for array in rest))[0]
@@ -227,10 +235,91 @@ def names_above(joints: tuple[str, ...], parents: tuple[int, ...]) -> tuple[tupl
     return tuple(tuple(joints[k] for k in ancestors(parents, j)) for j in range(len(joints)))
 
 
-def _nearest_known(above: Iterable[tuple[str, ...]], index: Mapping[str, int]) -> Int[np.ndarray, " J"]:
-    """Return the index of the first known name of each row; that of the root, which comes first, if there is none.
+FARTHEST = float(np.radians(max(most for _, most in FLEXION)))
+"""Largest bend (radians) of a joint that stands for several: a fist bends the three joints of a finger by 240 degrees,
+which one joint would turn through the palm."""
+TIP_SHARE = 0.25
+"""Share of the weights of the joint before, from which on a fourth joint is one of the finger: tips have traces."""
 
-    Fingers that are lacking follow those beside them (`followed_fingers`).
-    """
-    rows = ([*names[:1], *followed_fingers(names[0]), *names[1:]] if names else [] for names in above)
-    return np.array([next((index[name] for name in names if name in index), 0) for names in rows])
+
+@dataclass(frozen=True, eq=False)
+class Curl:
+    """A finger with the bends of fingers of the driving."""
+
+    joints: tuple[tuple[int, ...], ...]
+    """Joints of the character, outwards, each with those below it that move as it does: ends, twists."""
+    carrier: int
+    """Joint of the character that carries the finger."""
+    hand: Float[np.ndarray, "3 3"]
+    """Rotation from the frame of that joint to the hand's, which differ where the hand has no joint."""
+    fingers: tuple[tuple[int, ...], ...]
+    """For each finger that it stands for the driving's hand and finger joints."""
+
+    def bends(self, rotation: Float[np.ndarray, "T D 3 3"]) -> Float[np.ndarray, "T N 3"]:
+        """Return the rotation vector of each joint relative to the one before; `rotation` is that of the driving."""
+        from ..motions.motion import rotmat_to_rotvec
+
+        count, total = len(self.joints), np.zeros((len(rotation), len(self.joints), 3))
+        for chain in self.fingers:
+            world = rotation[:, list(chain)]
+            bends = rotmat_to_rotvec(world[:, :-1].swapaxes(-1, -2) @ world[:, 1:])
+            driving = len(chain) - 1  # joints; both fingers have theirs evenly spread
+            ends, theirs = np.linspace(0, driving, count + 1), np.arange(driving)
+            overlap = np.minimum(ends[1:, None], theirs + 1) - np.maximum(ends[:-1, None], theirs)
+            total += np.einsum("nm,tmk->tnk", np.maximum(overlap, 0.0), bends)
+        mean = total / len(self.fingers)
+        if count >= max(len(chain) - 1 for chain in self.fingers):
+            return mean
+        size = np.linalg.norm(mean, axis=-1, keepdims=True)
+        return mean * np.minimum(1.0, FARTHEST / np.maximum(size, FARTHEST))
+
+    def turn(self, linked: Float[np.ndarray, "T J 3 3"], rotation: Float[np.ndarray, "T D 3 3"]) -> None:
+        """Turn the joints of the finger, in place; the joint that carries it is turned already."""
+        above = linked[:, self.carrier] @ self.hand
+        for joints, bend in zip(self.joints, rotvec_to_rotmat(self.bends(rotation)).swapaxes(0, 1), strict=True):
+            above = above @ bend
+            linked[:, list(joints)] = above[:, None]
+
+
+def finger_curls(character: Character, index: Mapping[str, int]) -> tuple[Curl, ...]:
+    """Find the fingers of a character that do not follow one of a driving joint by joint; `index` is of its joints."""
+    curls = []
+    for side in SIDES:
+        hand = f"{side}Hand"
+        chains = {finger: chain for finger in FINGERS if (chain := _chain(character, hand + finger))}
+        if hand not in index or not chains:
+            continue
+        for finger, stood_for in stands_for(chains).items():
+            found = [_driving_chain(hand + each, index) for each in stood_for]
+            theirs = [chain for chain in found if chain]
+            mine = chains[finger]
+            one_by_one = hand in character.roles and len(set(theirs)) == 1 and len(theirs[0]) == len(mine)
+            if theirs and not one_by_one:
+                carrier = character.parents[mine[0]]
+                at_rest = character.rig.rotation[carrier]
+                turn = at_rest.T @ character.palms.get(side, at_rest)
+                nearest = [
+                    next((k for k in ancestors(character.parents, j) if k in mine), None)
+                    for j in range(len(character.parents))
+                ]
+                moved = tuple(tuple(j for j, above in enumerate(nearest) if above == joint) for joint in mine)
+                curls.append(Curl(moved, carrier, turn, tuple((index[hand], *chain) for chain in theirs)))
+    return tuple(curls)
+
+
+def _chain(character: Character, finger: str) -> tuple[int, ...]:
+    """List the joints of a finger of a character, outwards: those with a role, and a fourth that moves the surface."""
+    chain = [character.roles[name] for k in (1, 2, 3) if (name := f"{finger}{k}") in character.roles]
+    if len(chain) < 3:
+        return tuple(chain)
+    weight = character.rig.weights.sum(axis=0)
+    below = [j for j, parent in enumerate(character.parents) if parent == chain[-1]]
+    return (*chain, *below) if len(below) == 1 and weight[below[0]] > TIP_SHARE * weight[chain[-1]] else tuple(chain)
+
+
+def _driving_chain(finger: str, index: Mapping[str, int]) -> tuple[int, ...]:
+    """List the driving's joints of a finger, or else of the first one beside it that it has."""
+    first = next((name for name in (f"{finger}1", *followed_fingers(f"{finger}1")) if name in index), None)
+    if first is None:
+        return ()
+    return tuple(index[name] for k in (1, 2, 3) if (name := f"{first[:-1]}{k}") in index)

@@ -314,7 +314,19 @@ class Confidence:
         """
         if self.uncertainty <= 1:
             return ()
-        reasons = "; ".join(self._reasons() or ["predictions and surface do not fit together"])
+        incomplete = self._incomplete()
+        unmatched, reasons = self._without_surface(), []
+        if self.prediction_spread > MAX_SPREAD:
+            reasons.append(f"predictions for it differ by {self.prediction_spread:.0f} degrees")
+        if self.weight_entropy > self.standards.max_entropy:
+            reasons.append("much of its surface belongs to no limb in particular")
+        if incomplete:
+            reasons.append(f"{_listed('no whole', incomplete)} was found")
+        if unmatched and not incomplete:
+            reasons.append(f"there is no surface where {_listed('the', unmatched)} should be")
+        if self.flexion > self.standards.folded:
+            reasons.append(f"an elbow or a knee is folded by {self.flexion:.0f} degrees")
+        reasons = "; ".join(reasons or ["predictions and surface do not fit together"])
         if self.is_other_kind:
             unlike = f"{name} does not look like {self.standards.kind}, as far as can be told"
             return (f"{unlike}: {reasons}; {if_it_is(alone)}",)
@@ -329,29 +341,12 @@ class Confidence:
         )
         return (note,)
 
-    def _reasons(self) -> list[str]:
-        """List in words which figures are bad."""
-        incomplete = self._incomplete()
-        unmatched, reasons = self._without_surface(), []
-        if self.prediction_spread > MAX_SPREAD:
-            reasons.append(f"predictions for it differ by {self.prediction_spread:.0f} degrees")
-        if self.weight_entropy > self.standards.max_entropy:
-            reasons.append("much of its surface belongs to no limb in particular")
-        if incomplete:
-            reasons.append(f"{_listed('no whole', incomplete)} was found")
-        if unmatched and not incomplete:
-            reasons.append(f"there is no surface where {_listed('the', unmatched)} should be")
-        if self.flexion > self.standards.folded:
-            reasons.append(f"an elbow or a knee is folded by {self.flexion:.0f} degrees")
-        return reasons
-
     def _without_surface(self) -> list[str]:
         """List the limbs of the fitted body that are far from the surface, if parts of the surface are far from it."""
         uncovered = self.unmatched_surface > MAX_UNMATCHED_SURFACE
         return [limb for limb, share in self.unmatched_body.items() if share > MAX_UNMATCHED_LIMB and uncovered]
 
     def _incomplete(self) -> list[str]:
-        """List the limbs that were not found."""
         return [limb for limb in self.standards.min_share if self._incompleteness(limb) > 1]
 
     def _incompleteness(self, limb: str) -> float:
@@ -392,6 +387,5 @@ def mean_angle(first: Float[np.ndarray, "J 3 3"], second: Float[np.ndarray, "J 3
 
 
 def _listed(article: str, limbs: list[str]) -> str:
-    """List limbs with an article each: "the head, the left arm and the right arm"."""
     *others, last = (f"{article} {limb}" for limb in limbs)
     return f"{', '.join(others)} and {last}" if others else last

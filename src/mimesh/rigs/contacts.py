@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from ..bodies.character_limbs import SIDES
 from ..core.foot_planting import PosedJoints, falling, longest_reach, move_ankle
@@ -201,7 +201,17 @@ class Contacts:
         count = len(positions)
         chosen = np.unique(np.append(np.arange(0, count, max(1, round(track.fps / FPS))), count - 1))
         found = np.zeros((len(self.arms), len(chosen), 3))
-        near = np.flatnonzero(self._near(track, posed.rotation, positions, chosen))
+        # Spheres around rings tell where arms of the driving may touch, or the identity's be inside.
+        their_rings = self.driving.spheres(track.rotation[chosen], track.positions[chosen])
+        own_rings = self.identity.spheres(posed.rotation[chosen], positions[chosen])
+        near = np.zeros(len(chosen), bool)
+        for grid, centres, apart in ((self.driving, their_rings, TOUCHING[1]), (self.identity, own_rings, 0.0)):
+            for arm in self.arms:
+                rings, others = (np.unique(grid.ring[points]) for points in (arm.points, arm.others))
+                reach = grid.radius[rings][:, None] + grid.radius[others] + apart
+                offset = centres[:, rings, None] - centres[:, None, others]
+                near |= (np.square(offset).sum(axis=3) < reach**2).any(axis=(1, 2))
+        near = np.flatnonzero(near)
         for start in range(0, len(near), BLOCK):
             block = near[start : start + BLOCK]
             frames = chosen[block]
@@ -219,25 +229,6 @@ class Contacts:
         moved = posed.rotation.copy()
         moved[some] = rotation
         return PosedJoints(moved, posed.root)
-
-    def _near(
-        self,
-        track: JointTrack,
-        rotation: Float[np.ndarray, "T J 3 3"],
-        positions: Float[np.ndarray, "T J 3"],
-        frames: Int[np.ndarray, " N"],
-    ) -> Bool[np.ndarray, " N"]:
-        """Tell by spheres around rings in which frames arms of the driving may touch, or the identity's be inside."""
-        theirs = self.driving.spheres(track.rotation[frames], track.positions[frames])
-        own = self.identity.spheres(rotation[frames], positions[frames])
-        near = np.zeros(len(frames), bool)
-        for grid, centres, apart in ((self.driving, theirs, TOUCHING[1]), (self.identity, own, 0.0)):
-            for arm in self.arms:
-                rings, others = (np.unique(grid.ring[points]) for points in (arm.points, arm.others))
-                reach = grid.radius[rings][:, None] + grid.radius[others] + apart
-                offset = centres[:, rings, None] - centres[:, None, others]
-                near |= (np.square(offset).sum(axis=3) < reach**2).any(axis=(1, 2))
-        return near
 
     def _corrections(self, theirs: Surface, own: Surface, positions: Float[np.ndarray, "T J 3"]) -> Corrections:
         """Find the displacements of the identity's wrists.
@@ -273,7 +264,6 @@ class Contacts:
         return self.strength * steps.swapaxes(0, 1)
 
     def _pull(self, arm: Arm, theirs: Surface, own: Surface) -> Pull:
-        """Find where the points of an arm should go that touch."""
         points = theirs[:3, :, arm.points]
         nearest, inside = _nearest(theirs, points, arm.others, arm.body)
         touched = Places.over(theirs, points, self.beside[:, nearest])
@@ -323,7 +313,6 @@ def _nearest(
 
 
 def _moved_points(grid: BodyGrid, side: str) -> Int[np.ndarray, " M"]:
-    """Return the points of an arm that touch others."""
     rings = (grid.cells([side + part]).reshape(-1, ROWS[part][0])[rows, ::2] for part, rows in MOVED.items())
     return np.concatenate([ring.ravel() for ring in rings])
 
@@ -347,7 +336,6 @@ def _between(found: Float[np.ndarray, "A K 3"], chosen: Int[np.ndarray, " K"], c
 
 
 def _smoothed(found: Corrections, fps: float, cyclic: bool) -> Corrections:
-    """Filter corrections over time."""
     from scipy.ndimage import gaussian_filter1d
 
     if not cyclic:

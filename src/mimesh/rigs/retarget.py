@@ -313,7 +313,6 @@ class Retarget:
 
 
 def _feet(character: Character, motion: JointMotion) -> Feet | None:
-    """Find the contact points of the feet that both have; None where a leg was not found."""
     lacking = any(of.confidence is not None and of.confidence.lacks_leg for of in (character, motion))
     legs, arms = character.legs, character.arms
     if lacking or len(legs + arms) != len(motion.soles):

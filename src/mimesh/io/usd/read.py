@@ -24,7 +24,7 @@ from pxr import Ar, Sdf, Tf, Usd, UsdGeom, UsdShade, UsdSkel, UsdUtils
 from ...core.budgets import check_clip_size
 from ...core.errors import InputError, damaged
 from ...core.frame_buffer import Progress
-from ...core.geometry import turn_normals, unit_vectors
+from ...core.geometry import normal_turner, unit_vectors
 from ...core.mesh import Material, Mesh, Part
 from ..beside import confining_folder, may_be_read
 from ..guarded import hand_over_clip, hand_over_mesh
@@ -301,7 +301,7 @@ def _normals(mesh_prim: MeshPrim, xforms, vertices, faces, corners, polygon_of, 
     bind = transform_points(
         T_world_bind, np.array(UsdGeom.Mesh(prim).GetPointsAttr().Get(xforms.GetTime()), np.float64)
     )
-    return turn_normals(normals, faces, bind, vertices)
+    return normal_turner(normals, faces, bind)(vertices)
 
 
 def _parts(binding_prims: list[Usd.Prim], labels: Int[np.ndarray, " F"], materials: MaterialCache) -> tuple[Part, ...]:

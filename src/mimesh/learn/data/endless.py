@@ -145,15 +145,30 @@ class EndlessPeople:
         for row, mix in enumerate((IDENTITY_MIX, driving_mix(self.config.limits if limits is None else limits))):
             pose = self._sample_poses(kinds[row], mix, rng)
             if self.config.folded and len(self.folded):
-                pose = self._fold_legs(pose, rng)
+                legs = self.folded[random_index(len(self.folded), (len(pose),), rng)]
+                folded = uniform(rng, len(pose), 1, 1) < self.config.folded
+                pose = torch.where(folded & self.is_leg, legs, pose)
             if self.config.contacts and len(self.contacts[0]):
-                shapes[row], pose, touching[row] = self._replace_by_contacts(shapes[row], pose, rng)
+                shape = shapes[row]
+                touch = uniform(rng, len(shape)) < self.config.contacts
+                drawn = random_index(len(self.contacts[0]), (len(shape),), rng)
+                touching_shapes, touching_poses = (bank[drawn] for bank in self.contacts)
+                shapes[row], pose, touching[row] = (
+                    torch.where(touch[:, None], touching_shapes, shape),
+                    torch.where(touch[:, None, None], touching_poses, pose),
+                    touch,
+                )
             rotmat = rotvec_to_rotmat(pose)
             driving = row == 1
             reach = math.radians(self.config.heading) * (1.0 if driving else 0.25)
             rotmat[:, 0] = random_headings(size, reach, rng) @ rotmat[:, 0]
             if self.config.tumble and driving:
-                rotmat[:, 0] = self._random_tumbles(size, rng) @ rotmat[:, 0]
+                # A random direction in four dimensions is a uniform unit quaternion.
+                quaternion = torch.nn.functional.normalize(normal(rng, size, 4), dim=-1)
+                angle = 2 * torch.acos(quaternion[:, :1].clamp(-1, 1))
+                rotvec = angle * torch.nn.functional.normalize(quaternion[:, 1:], dim=-1)
+                some = uniform(rng, size, 1) < self.config.tumble
+                rotmat[:, 0] = rotvec_to_rotmat(rotvec * some) @ rotmat[:, 0]
             poses.append(rotmat)
         return shapes, torch.stack(poses), touching
 
@@ -172,7 +187,10 @@ class EndlessPeople:
         if len(self.postures):
             captured = captured + self._random_postures(size, rng)[:, None]
         captured = rotvec_to_rotmat(captured)
-        straight = straight_windows(self.limits, size, self.frames, rng)
+        start, stop = (random_between(self.limits, size, rng)[:, None] for _ in range(2))
+        step = MAX_STEP * uniform(rng, size, 1, 1, 1)
+        frame = torch.arange(self.frames, device=rng.device)
+        straight = rotvec_to_rotmat(start + step * frame[:, None, None] * (stop - start))
         heading = random_headings(size, np.deg2rad(self.config.heading), rng)[:, None]
         chosen = uniform(rng, size) < CAPTURED
         window = torch.where(chosen[:, None, None, None, None], captured, straight)
@@ -195,34 +213,9 @@ class EndlessPeople:
         choice = torch.bucketize(kinds, torch.tensor(mix, device=self.device))
         return torch.stack([rest, table, wide, frame])[choice, torch.arange(size, device=self.device)]
 
-    def _fold_legs(self, pose: Float[Tensor, "B J 3"], rng: torch.Generator) -> Float[Tensor, "B J 3"]:
-        """Fold the legs of a share of the people."""
-        legs = self.folded[random_index(len(self.folded), (len(pose),), rng)]
-        some = uniform(rng, len(pose), 1, 1) < self.config.folded
-        return torch.where(some & self.is_leg, legs, pose)
-
     def _random_postures(self, size: int, rng: torch.Generator) -> Float[Tensor, "B J 3"]:
-        """Draw shares of the ways in which animals stand."""
         share = uniform(rng, size, 1, 1)
         return share * self.postures[random_index(len(self.postures), (size,), rng)]
-
-    def _replace_by_contacts(self, shape: Float[Tensor, "B K"], pose: Float[Tensor, "B J 3"], rng: torch.Generator):
-        """Replace a share of the people by ones in self-contact: shapes, poses, and who was replaced."""
-        some = uniform(rng, len(shape)) < self.config.contacts
-        drawn = random_index(len(self.contacts[0]), (len(shape),), rng)
-        shapes, poses = (bank[drawn] for bank in self.contacts)
-        return torch.where(some[:, None], shapes, shape), torch.where(some[:, None, None], poses, pose), some
-
-    def _random_tumbles(self, size: int, rng: torch.Generator) -> Float[Tensor, "B 3 3"]:
-        """Draw a uniform random rotation for the configured share, and none for the others.
-
-        A random direction in four dimensions is a uniform unit quaternion.
-        """
-        quaternion = torch.nn.functional.normalize(normal(rng, size, 4), dim=-1)
-        angle = 2 * torch.acos(quaternion[:, :1].clamp(-1, 1))
-        rotvec = angle * torch.nn.functional.normalize(quaternion[:, 1:], dim=-1)
-        some = uniform(rng, size, 1) < self.config.tumble
-        return rotvec_to_rotmat(rotvec * some)
 
 
 def random_index(count: int, shape: tuple[int, ...], rng: torch.Generator) -> Int[Tensor, "..."]:
@@ -287,16 +280,6 @@ def recombined(
         other = random_window(motions, size, frames, rng)
         window = torch.where((some & limb)[:, None, :, None, None], other, window)
     return window
-
-
-def straight_windows(
-    limits: Float[Tensor, "2 J 3"], size: int, frames: int, rng: torch.Generator
-) -> Float[Tensor, "B T J 3 3"]:
-    """Draw windows on straight ways from one pose within the joint limits towards another."""
-    start, stop = (random_between(limits, size, rng)[:, None] for _ in range(2))
-    step = MAX_STEP * uniform(rng, size, 1, 1, 1)
-    frame = torch.arange(frames, device=rng.device)
-    return rotvec_to_rotmat(start + step * frame[:, None, None] * (stop - start))
 
 
 def driving_mix(limits: float) -> tuple[float, float, float]:

@@ -103,7 +103,10 @@ class PropSampler:
         which = torch.randint(len(self.points), shape, generator=rng, device=self.device)
         # Half of the props stand straight in the figure's axes, as hats and backpacks do.
         straight = uniform(rng, *shape, 1, 1) < 0.5
-        turn = torch.where(straight, torch.eye(3, device=self.device), random_rotations(shape, rng))
+        x, y = nn.functional.normalize(normal(rng, 2, *shape, 3), dim=-1)
+        z = nn.functional.normalize(torch.linalg.cross(x, y), dim=-1)
+        uniformly = torch.stack([x, torch.linalg.cross(z, x), z], -1)  # Gram-Schmidt of normal vectors
+        turn = torch.where(straight, torch.eye(3, device=self.device), uniformly)
         direction = nn.functional.normalize(normal(rng, *shape, 3), dim=-1)
         centre = PROP_OFFSET * uniform(rng, *shape, 1) * direction
         # Half are held at one end, as swords are.
@@ -117,13 +120,6 @@ class PropSampler:
             joint.repeat_interleave(PROP_POINTS, dim=1),
             (torch.arange(PROP_POINTS, device=self.device) < wanted[..., None]).flatten(1),
         )
-
-
-def random_rotations(size: tuple[int, ...], rng: torch.Generator) -> Float[Tensor, "*B 3 3"]:
-    """Draw uniform random rotations: Gram-Schmidt of normal vectors."""
-    x, y = nn.functional.normalize(normal(rng, 2, *size, 3), dim=-1)
-    z = nn.functional.normalize(torch.linalg.cross(x, y), dim=-1)
-    return torch.stack([x, torch.linalg.cross(z, x), z], -1)
 
 
 @dataclass(frozen=True)

@@ -68,7 +68,6 @@ class TablePeople:
         return shapes, self.poses[random_index(len(self.poses), (size,), rng)], window
 
     def _drawn(self, size: int, frames: int, rng: torch.Generator) -> Float[Tensor, "B T J 3 3"]:
-        """Draw windows of the motions, with limbs of others in some where that is asked."""
         window = random_window(self.motions, size, frames, rng)
         return endless.recombined(window, self.motions, self.limbs, self.config.recombine, rng)
 

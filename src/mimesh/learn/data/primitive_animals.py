@@ -109,7 +109,6 @@ def _places(body: RiggedBody, rng: np.random.Generator) -> Joints:
 
 
 def _random_joints(rng: np.random.Generator) -> set[str]:
-    """Draw which of the body's joints an animal has."""
     kind = rng.random()
     bones = 1 if kind < ONE_BONE else 2 if kind < ONE_BONE + TWO_BONES else 3
     has = {"Hips", *(side + part for side in SIDES for chain in LEGS.values() for part in chain[:bones])}
@@ -175,7 +174,6 @@ def _trunk(
 def _head(
     body: RiggedBody, places: Mapping[str, np.ndarray], has: set[str], style: _Style, rng: np.random.Generator
 ) -> list[Primitive]:
-    """Make neck, head, muzzle, and boxes on the head."""
     head, size, parts = body.joint("Head"), style.head, []
     centre = places["Head"] + [0, 0.0, 0.6 * size[2]]
     carriers = [name for name in NECK if name in has]
@@ -199,7 +197,6 @@ def _head(
 def _tail(
     body: RiggedBody, places: Mapping[str, np.ndarray], has: set[str], style: _Style, rng: np.random.Generator
 ) -> list[Primitive]:
-    """Make a primitive for each bone of the tail that the animal has."""
     own = [name for name in TAIL if name in has]
     last = 2 * places[TAIL[-1]] - places[TAIL[-2]]
     stops, width = [places[name] for name in own] + [last], style.leg * rng.uniform(0.4, 1.0, 2)

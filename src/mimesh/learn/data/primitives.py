@@ -182,12 +182,18 @@ def primitive_person(body: RiggedBody, rng: np.random.Generator) -> CharacterSur
     style = _Style.random(rng)
     has = _random_joints(body, style, rng)
     alignment, joints = _rest(body, rng.uniform(0, 1.4) * (rng.random() < 0.7), style.limb_length)
-    parts = [
-        *_limbs(body, joints, has, style, rng),
-        *_ends(body, joints, alignment, has, style, rng),
-        *_trunk(body, joints, has, style, rng),
-        *_head(body, joints, style, rng),
-    ]
+    parts = _limbs(body, joints, has, style, rng)
+    for part, offset, size in (
+        ("Hand", (0.07, 0.0, 0.0), (0.08, 0.03, 0.05)),
+        ("Foot", (0.0, -0.03, 0.06), (0.05, 0.04, 0.12)),
+    ):
+        shape, scale = draw_shape(style.shapes[:2], rng), np.exp(rng.normal(0, 0.35, 3))
+        for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
+            if side + part in has:
+                j = body.joint(side + part)
+                centre = joints[j] + alignment[j] @ (np.array(offset) * [sign, 1, 1] * scale)
+                parts.append(Primitive(shape, j, centre, alignment[j], np.array(size) * scale))
+    parts += _trunk(body, joints, has, style, rng) + _head(body, joints, style, rng)
     return assemble(parts, body, joints, alignment, has, rng)
 
 
@@ -220,7 +226,6 @@ class _Style:
 
 
 def _random_joints(body: RiggedBody, style: _Style, rng: np.random.Generator) -> set[str]:
-    """Draw which of the body's joints a person has."""
     has = {name for name in body.joint_names if not name.endswith(DETAILS)}
     dropped = {**dict.fromkeys(LIMB_ENDS, style.one_joint), ("Hand",): 0.2, ("Foot",): 0.2}
     dropped |= {("LowerBack", "Spine"): 0.5, ("Spine1",): 0.3, ("Neck",): 0.5}
@@ -261,33 +266,9 @@ def _limbs(
     return parts
 
 
-def _ends(
-    body: RiggedBody,
-    joints: Float[np.ndarray, "J 3"],
-    alignment: Float[np.ndarray, "J 3 3"],
-    has: set[str],
-    style: _Style,
-    rng: np.random.Generator,
-) -> list[Primitive]:
-    """Make hands and feet; left and right are alike."""
-    parts = []
-    for part, offset, size in (
-        ("Hand", (0.07, 0.0, 0.0), (0.08, 0.03, 0.05)),
-        ("Foot", (0.0, -0.03, 0.06), (0.05, 0.04, 0.12)),
-    ):
-        shape, scale = draw_shape(style.shapes[:2], rng), np.exp(rng.normal(0, 0.35, 3))
-        for side, sign in zip(SIDES, (1.0, -1.0), strict=True):
-            if side + part in has:
-                j = body.joint(side + part)
-                centre = joints[j] + alignment[j] @ (np.array(offset) * [sign, 1, 1] * scale)
-                parts.append(Primitive(shape, j, centre, alignment[j], np.array(size) * scale))
-    return parts
-
-
 def _trunk(
     body: RiggedBody, joints: Float[np.ndarray, "J 3"], has: set[str], style: _Style, rng: np.random.Generator
 ) -> list[Primitive]:
-    """Make the trunk, of one or two primitives."""
     hips, chest = body.joint("Hips"), body.joint("Spine1")
     shoulders = (joints[body.joint("LeftArm")] + joints[body.joint("RightArm")]) / 2
     legs = (joints[body.joint("LeftUpLeg")] + joints[body.joint("RightUpLeg")]) / 2
@@ -307,7 +288,6 @@ def _trunk(
 def _head(
     body: RiggedBody, joints: Float[np.ndarray, "J 3"], style: _Style, rng: np.random.Generator
 ) -> list[Primitive]:
-    """Make the head and the boxes on it."""
     joint = body.joint("Head")
     centre = joints[joint] + [0, 0.8 * style.head[1], 0.02]
     head = Primitive(draw_shape(style.shapes, rng), joint, centre, np.eye(3), style.head)

@@ -10,10 +10,10 @@ import hashlib
 import math
 import re
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, ClassVar
+from typing import IO, Any, ClassVar, NamedTuple
 
 import numpy as np
 import torch
@@ -71,7 +71,9 @@ class RegisteredMeshes:
     radius: Float[np.ndarray, " N"]
     """By which each frame was divided, in the unit of the files."""
     faces: Int[np.ndarray, "F 3"]
-    split: Split
+    pairs: dict[str, Triples]
+    """Those of the `training`, and of what is held out: `seen`, new people in poses of the training, and `unseen`, new
+    people, or all where none are held out, in new poses, from identities in poses of the training."""
     facts: dict[str, Any]
     """For cards: `layout` of the folder, numbers of `people`, `poses`, `meshes` and `frames`, the topology, the axes,
     what is `held_out`, and `sha256` of all names and points."""
@@ -115,22 +117,42 @@ class RegisteredMeshes:
         """
         folder = Path(folder)
         axes = parse_axis(config.up or "+y", "data.up"), parse_axis(config.front or "+z", "data.front")
-        layout = find_layout(folder, config.pattern)
-        entries = layout.entries
+        pattern, entries, ignored = find_layout(folder, config.pattern)
+        # In their natural order, whose end is held out.
+        people, poses = (sorted({names[k] for names in entries}, key=natural) for k in range(2))
+        table = MeshTable(np.full((len(people), len(poses)), -1), np.zeros(len(poses), np.int64))
         with tempfile.TemporaryFile(prefix="mimesh-") as file:
             store = FrameStore(file, *axes)
-            lengths = [store.add(entry.path, folder) for entry in counted(entries, len(entries), progress)]
-            points = store.mapped()
-        assert store.mesh is not None
-        people, poses = (  # in their natural order, whose end is held out
-            sorted(names, key=natural) for names in ({e.person for e in entries}, {e.pose for e in entries})
-        )
-        table = MeshTable.of(entries, lengths, people, poses)
-        if Split.of(table, frames, 0, 0) is None:
-            raise InputError(_no_pair(folder, layout, table, frames))
-        held_out, split = hold_out(table, frames, config)
+            for (person, pose), path in counted(entries.items(), len(entries), progress):
+                column = poses.index(pose)
+                table.first[people.index(person), column] = len(store.radius)
+                count = store.add(path, folder)
+                if table.length[column] not in (0, count):
+                    raise InputError(
+                        f"{path}: expected the {table.length[column]} frames that others have in {pose}, found "
+                        f"{count}: frame t must be the same pose of all people. Recordings, as those of DFAUST, have "
+                        "no truth of another person; make it from AMASS's archives of the same takes: python scripts/"
+                        "generate_on_body_model.py clips-aniformer SMPLH.npz --split train --data TAKES -o clips"
+                    )
+                table.length[column] = count
+            file.flush()
+            assert store.mesh is not None
+            shape = (len(store.radius), *store.mesh.vertices.shape)
+            points = np.memmap(file, np.float32, "r+", shape=shape)  # the file may be deleted then
+        if table.pairs(frames, 0, 0) is None:
+            what = f"{len(entries)} meshes of {len(people)} people in {len(poses)} poses"
+            if table.length.max() < frames:
+                raise InputError(
+                    f"{folder}: expected clips of {frames} frames or more, found at most {table.length.max()} "
+                    f"({what}); train npt on meshes, or give folders of frames"
+                )
+            raise InputError(
+                f"{folder}: expected two people in one pose, found none ({pattern}: {what}); name the files by person "
+                "and pose, or give their names with --pattern"
+            )
+        held_out, pairs = hold_out(table, frames, config)
         facts = {
-            **{"layout": layout.pattern, "people": len(people), "poses": len(poses), "meshes": len(entries)},
+            **{"layout": pattern, "people": len(people), "poses": len(poses), "meshes": len(entries)},
             **{"frames": len(points), "vertices": points.shape[1], "triangles": len(store.mesh.faces)},
             **{"up": axes[0], "front": axes[1]},
             "held_out": {
@@ -139,7 +161,7 @@ class RegisteredMeshes:
             },
             "sha256": store.digest.hexdigest(),
         }
-        return cls(points, np.array(store.radius), store.mesh.faces, split, facts, layout.ignored)
+        return cls(points, np.array(store.radius), store.mesh.faces, pairs, facts, ignored)
 
 
 class FrameStore:
@@ -173,12 +195,6 @@ class FrameStore:
                 ) from error
         return len(frames)
 
-    def mapped(self) -> Float[np.ndarray, "N V 3"]:
-        """Map the file, which may be deleted then, to memory."""
-        assert self.mesh is not None
-        self.file.flush()
-        return np.memmap(self.file, np.float32, "r+", shape=(len(self.radius), *self.mesh.vertices.shape))
-
     def _read(self, path: Path) -> Float[np.ndarray, "T V 3"]:
         """Read the frames of a mesh, a clip or a folder, and check that they are of the topology."""
         if self.mesh is not None and path.is_file() and FORMATS[path.suffix.lower()].one_mesh:
@@ -199,7 +215,7 @@ class FrameStore:
         return clip.vertices
 
 
-def hold_out(table: MeshTable, frames: int, config: MeshOptions) -> tuple[tuple[int, int], Split]:
+def hold_out(table: MeshTable, frames: int, config: MeshOptions) -> tuple[tuple[int, int], dict[str, Triples]]:
     """Hold out what the configuration says; by default a tenth of both, or nothing where no pair would be left.
 
     Raises:
@@ -208,46 +224,21 @@ def hold_out(table: MeshTable, frames: int, config: MeshOptions) -> tuple[tuple[
     asked, counts = (config.held_out_people, config.held_out_poses), table.first.shape
     usual = [math.ceil(count / HELD_OUT) if min(counts) >= LEAST else 0 for count in counts]
     people, poses = (count if given is None else given for given, count in zip(asked, usual, strict=True))
-    if (split := Split.of(table, frames, people, poses)) is not None:
-        return (people, poses), split
-    if asked == (None, None) and (split := Split.of(table, frames, 0, 0)) is not None:
-        return (0, 0), split
+    for held_out in ((people, poses), (0, 0)) if asked == (None, None) else ((people, poses),):
+        if (pairs := table.pairs(frames, *held_out)) is not None:
+            return held_out, pairs
     raise InputError(
         f"data.held_out_people={people}, data.held_out_poses={poses}: expected pairs in the training and among what is "
         f"held out of {counts[0]} people and {counts[1]} poses, found a part without; hold out others"
     )
 
 
-def _no_pair(folder: Path, layout: MeshLayout, table: MeshTable, frames: int) -> str:
-    """Say why a folder has no pair."""
-    what = f"{len(layout.entries)} meshes of {table.first.shape[0]} people in {table.first.shape[1]} poses"
-    if table.length.max() < frames:
-        return (
-            f"{folder}: expected clips of {frames} frames or more, found at most {table.length.max()} ({what}); "
-            "train npt on meshes, or give folders of frames"
-        )
-    return (
-        f"{folder}: expected two people in one pose, found none ({layout.pattern}: {what}); name the files by person "
-        "and pose, or give their names with --pattern"
-    )
-
-
-@dataclass(frozen=True)
-class Entry:
-    """A mesh or clip: a file, or a folder of frames."""
-
-    person: str
-    pose: str
-    path: Path
-
-
-@dataclass(frozen=True)
-class MeshLayout:
+class MeshLayout(NamedTuple):
     """What a pattern finds in a folder."""
 
     pattern: str
-    entries: tuple[Entry, ...]
-    """In the natural order of people and poses: 2 before 10."""
+    entries: dict[tuple[str, str], Path]
+    """Person and pose -> a file, or a folder of frames; in their natural order: 2 before 10."""
     ignored: int
     """Number of files that the pattern does not match."""
 
@@ -258,15 +249,19 @@ def find_layout(folder: Path, pattern: str = "") -> MeshLayout:
         raise InputError(f"{folder}: expected a folder of registered meshes, found none; check the path")
     found = list(_candidates(folder))
     for tried in (pattern,) if pattern else LAYOUTS:
-        expression = compiled(tried)
+        expression, entries = compiled(tried), dict[tuple[str, str], Path]()
         named = {path: expression.fullmatch(_plain(path, folder, tried)) for path in found}
-        entries = [Entry(match["person"], match["pose"], path) for path, match in named.items() if match]
+        for path, match in named.items():
+            if match and (other := entries.setdefault((match["person"], match["pose"]), path)) != path:
+                raise InputError(
+                    f"{path}: expected one file of person {match['person']} in pose {match['pose']}, found "
+                    f"{other.name} too; move one of them away, or give the names with --pattern"
+                )
         if entries:
-            _refuse_twins(entries)
-            entries.sort(key=lambda entry: (natural(entry.person), natural(entry.pose)))
-            inside = {entry.path for entry in entries if entry.path.is_dir()}
+            order = sorted(entries, key=lambda names: [natural(name) for name in names])
+            inside = set(entries.values())
             others = [path for path in found if not named[path] and path.is_file() and path.parent not in inside]
-            return MeshLayout(tried, tuple(entries), len(others))
+            return MeshLayout(tried, {names: entries[names] for names in order}, len(others))
     tried = pattern or ", ".join(FIELD.sub(r"{\1}", layout) for layout in LAYOUTS)
     raise InputError(
         f"{folder}: expected meshes or clips named by person and pose ({tried}), found {len(found)} files, none named "
@@ -317,17 +312,6 @@ def _plain(path: Path, folder: Path, pattern: str) -> str:
     return (relative if named else relative.with_suffix("")).as_posix()
 
 
-def _refuse_twins(entries: list[Entry]) -> None:
-    seen: dict[tuple[str, str], Path] = {}
-    for entry in entries:
-        other = seen.setdefault((entry.person, entry.pose), entry.path)
-        if other != entry.path:
-            raise InputError(
-                f"{entry.path}: expected one file of person {entry.person} in pose {entry.pose}, found {other.name} "
-                "too; move one of them away, or give the names with --pattern"
-            )
-
-
 @dataclass(frozen=True, eq=False)
 class MeshTable:
     """Who is in which pose: P people in B poses, or motions, whose frames follow each other in one array."""
@@ -337,38 +321,19 @@ class MeshTable:
     length: Int[np.ndarray, " B"]
     """Frames of each motion; 1 for a pose."""
 
-    @classmethod
-    def of(
-        cls, entries: Sequence[Entry], lengths: Sequence[int], people: Sequence[str], poses: Sequence[str]
-    ) -> MeshTable:
-        """Enter meshes or clips of some numbers of frames.
-
-        Raises:
-            InputError: clips of one motion have several lengths, so that frame t is not the same pose in all.
-        """
-        first, length, start = np.full((len(people), len(poses)), -1), np.zeros(len(poses), np.int64), 0
-        rows, columns = ({name: k for k, name in enumerate(names)} for names in (people, poses))
-        for entry, count in zip(entries, lengths, strict=True):
-            column = columns[entry.pose]
-            if length[column] not in (0, count):
-                raise InputError(
-                    f"{entry.path}: expected the {length[column]} frames that others have in {entry.pose}, found "
-                    f"{count}: frame t must be the same pose of all people. Recordings, as those of DFAUST, have no "
-                    "truth of another person; make it from AMASS's archives of the same takes: "
-                    "python scripts/generate_on_body_model.py clips-aniformer SMPLH.npz --split train --data TAKES "
-                    "-o clips"
-                )
-            first[rows[entry.person], column], length[column], start = start, count, start + count
-        return cls(first, length)
-
-
-@dataclass(frozen=True)
-class Frames:
-    """The frames of B pairs. Driving and truth are windows of the same frames of two people's clips."""
-
-    identity: Int[Tensor, " B"]
-    driving: Int[Tensor, "B T"]
-    truth: Int[Tensor, "B T"]
+    def pairs(self, frames: int, people: int, poses: int) -> dict[str, Triples] | None:
+        """Hold out the last people and poses (`RegisteredMeshes.pairs`); None if a kind of pairs would be empty."""
+        count = self.first.shape
+        new, new_pose = np.arange(count[0])[:, None] >= count[0] - people, np.arange(count[1]) >= count[1] - poses
+        tested = new if people else ~new
+        # With one new person alone the driving meshes are of people of the training.
+        driving = new if people > 1 else ~new
+        found = {"training": Triples.of(self, frames, *[~new & ~new_pose] * 3)}
+        for kind, pose, held in (("seen", ~new_pose, people), ("unseen", new_pose, poses)):
+            if held:
+                found[kind] = Triples.of(self, frames, tested & pose, tested & ~new_pose, driving & True)
+        pairs = {kind: triples for kind, triples in found.items() if triples is not None}
+        return pairs if len(pairs) == len(found) else None
 
 
 @dataclass(frozen=True, eq=False)
@@ -405,50 +370,24 @@ class Triples:
         chosen = (tensor(np.argwhere(usable)), tensor(identities), tensor(drivings))
         return cls(tensor(table.first), tensor(table.length), *chosen, frames)
 
-    def draw(self, size: int, rng: torch.Generator) -> Frames:
-        """Draw pairs: a window of a truth, then an identity in another pose and a driving person."""
+    def draw(self, size: int, rng: torch.Generator) -> tuple[Int[Tensor, " B"], Int[Tensor, "B T"], Int[Tensor, "B T"]]:
+        """Draw frames of identities, and windows of driving meshes and truths, which are of the same frames.
+
+        A truth is drawn first, then an identity in another pose and a driving person.
+        """
         person, pose = self.truths[random_index(len(self.truths), (size,), rng)].T
         start = (uniform(rng, size) * (self.length[pose] - self.frames + 1)).long()
         window = start[:, None] + torch.arange(self.frames, device=rng.device)
         own = pick_other(self.identities[person], pose, rng)
         other = pick_other(self.drivings[:, pose].T, person, rng)
         still = self.first[person, own] + (uniform(rng, size) * self.length[own]).long()
-        return Frames(still, self.first[other, pose, None] + window, self.first[person, pose, None] + window)
+        return still, self.first[other, pose, None] + window, self.first[person, pose, None] + window
 
 
 def pick_other(allowed: Bool[Tensor, "B N"], but: Int[Tensor, " B"], rng: torch.Generator) -> Int[Tensor, " B"]:
     """Pick a random allowed column of each row but one; that one where there is no other."""
     keys = torch.where(allowed, uniform(rng, *allowed.shape), -1.0)
     return keys.scatter(1, but[:, None], -0.5).argmax(1)
-
-
-@dataclass(frozen=True, eq=False)
-class Split:
-    """The pairs of a folder: those of the training, and those that networks are validated on, if any are held out."""
-
-    training: Triples
-    seen: Triples | None
-    """New people in poses of the training; None where no people are held out."""
-    unseen: Triples | None
-    """New people, or all where none are held out, in new poses, from identities in poses of the training; None where no
-    poses are held out."""
-
-    @classmethod
-    def of(cls, table: MeshTable, frames: int, people: int, poses: int) -> Split | None:
-        """Hold out the last people and poses of a table; None if the training or a kind of validation has no pair."""
-        count = table.first.shape
-        new, new_pose = np.arange(count[0])[:, None] >= count[0] - people, np.arange(count[1]) >= count[1] - poses
-        training = Triples.of(table, frames, ~new & ~new_pose, ~new & ~new_pose, ~new & ~new_pose)
-        tested = new if people else ~new
-        # With one new person alone the driving meshes are of people of the training.
-        driving = new if people > 1 else ~new
-        seen, unseen = (
-            Triples.of(table, frames, tested & pose, tested & ~new_pose, driving & True) if held else None
-            for pose, held in ((~new_pose, people), (new_pose, poses))
-        )
-        if training is None or (people and seen is None) or (poses and unseen is None):
-            return None
-        return cls(training, seen, unseen)
 
 
 @dataclass(frozen=True)
@@ -480,16 +419,16 @@ class MeshWindowSource(VertexSampler):
         self.keep_unit = config.target_scale == "identity"
         self.points = torch.from_numpy(meshes.points).to(device)
         self.radius = on_device(meshes.radius, device)
-        self.triples = copied_to(device, meshes.split.training)
+        self.triples = copied_to(device, meshes.pairs["training"])
 
     def batch(self, size: int, step: int) -> WindowBatch:
         rng = numbers_of_step(self.seed, step, self.device)
-        frames = self.triples.draw(size, rng)
+        of_identity, of_driving, of_truth = self.triples.draw(size, rng)
         index, driving_index, edges, share = self._sample_vertices(size, rng)
-        identity = self.points[frames.identity[:, None], index]
-        driving = self.points[frames.driving[..., None], driving_index[:, None]]
-        truth = self.points[frames.truth[..., None], index[:, None]]
-        unit = self.radius[frames.truth] / self.radius[frames.identity, None]
+        identity = self.points[of_identity[:, None], index]
+        driving = self.points[of_driving[..., None], driving_index[:, None]]
+        truth = self.points[of_truth[..., None], index[:, None]]
+        unit = self.radius[of_truth] / self.radius[of_identity, None]
         own = torch.ones_like(unit)
         if self.keep_unit:
             truth, unit, own = truth * unit[..., None, None], own, unit
@@ -520,8 +459,7 @@ class HeldOutMeshes(Protocol):
     @classmethod
     def of(cls, meshes: RegisteredMeshes) -> HeldOutMeshes | None:
         """Make the protocol of a folder; None where nothing is held out."""
-        kinds = {"seen": meshes.split.seen, "unseen": meshes.split.unseen}
-        triples = {kind: found for kind, found in kinds.items() if found}
+        triples = {kind: found for kind, found in meshes.pairs.items() if kind != "training"}
         return cls("meshes", 1, tuple(triples), 72, 0.0, meshes, triples) if triples else None
 
     def unshuffled_pair(self, split: str, kind: str, i: int, rng: np.random.Generator) -> Pair:
@@ -537,17 +475,16 @@ class HeldOutMeshes(Protocol):
         self, kind: str, rng: np.random.Generator, order: Int[np.ndarray, " V"], other: Int[np.ndarray, " V"]
     ) -> Pair:
         """Make a pair of meshes, or of clips where the training takes windows; lengths are in the files' unit."""
-        frames = self.triples[kind].draw(1, torch.Generator().manual_seed(int(rng.integers(2**31))))
-        identity = self._mesh(int(frames.identity[0]), order)
-        truth = self._points(frames.truth[0], order)
-        clip = self._points(frames.driving[0], other)
-        driving = self._mesh(int(frames.driving[0, 0]), other)
+        drawn = self.triples[kind].draw(1, torch.Generator().manual_seed(int(rng.integers(2**31))))
+        (still,), (window,), (of_truth,) = drawn
+        identity, driving = self._mesh(int(still), order), self._mesh(int(window[0]), other)
+        truth, clip = self._points(of_truth, order), self._points(window, other)
         height = float(np.ptp(identity.vertices[:, 1]))
         if self.triples[kind].frames == 1:
             return Pair(identity, driving, truth[0], height)
         return ClipPair(
             identity, driving, truth[0], height, clip=Clip(driving, clip), truth_frames=truth,
-            aligned_frames=self._points(frames.driving[0], order),
+            aligned_frames=self._points(window, order),
         )  # fmt: skip
 
     def _points(self, frames: Int[Tensor, " T"], order: Int[np.ndarray, " V"]) -> Float[np.ndarray, "T V 3"]:

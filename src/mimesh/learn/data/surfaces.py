@@ -153,16 +153,13 @@ class SurfaceBody:
             flat, level = (people.level > 0)[:, None, None], (people.level - 1).clamp_min(0)[:, None]
             offset, faceted = self.coarse.permute(1, 0, 3, 2)[:, level, index].mT
             rest, normal = rest + flat * offset, torch.where(flat, faceted, normal)
-        rest = rest + self._bump_heights(people, index) * normal
+        place = self.rest[:, index].transpose(0, 1)
+        waves = people.bumps[..., :3] @ place + people.bumps[..., 3:4]
+        rest = rest + (waves.sin() * people.bumps[..., 4:]).sum(1, keepdim=True) * normal
         weights = self.weights[:, index].permute(1, 2, 0)
         points, normals = skinned_surface(rest.mT, normal.mT, weights, (joints, position), linear, normal_map)
         known = torch.ones_like(position[..., 0], dtype=torch.bool)
         return PosedSurface(points, normals, weights, rotation, position, known, known)
-
-    def _bump_heights(self, people: People, index: Int[Tensor, "B N"]) -> Float[Tensor, "B 1 N"]:
-        position = self.rest[:, index].transpose(0, 1)
-        waves = people.bumps[..., :3] @ position + people.bumps[..., 3:4]
-        return (waves.sin() * people.bumps[..., 4:]).sum(1, keepdim=True)
 
 
 class PeopleSampler:
