@@ -34,7 +34,7 @@ def check_clip_output(output: Path, clips: int, skinned: bool, shapes: ShapeOpti
     from ..core.errors import InputError
     from ..io import clip_suffixes, refuse_vrm
     from ..io.formats import FRAME_SUFFIXES, JOINTED
-    from ..pipeline.vrma import check_bones_layout
+    from ..pipeline.vrm import check_bones_layout
     from ..tools.convert import BONES_ONLY
     from ..view.movie import MOVIES
 

@@ -13,8 +13,7 @@ import typer
 from ..core.options import FrameRange, Hints, Layout, ModelOptions, MotionOptions
 from ..core.printable import say
 from .clips import check_clip_output, check_rig_layout, check_single, check_suffix, clip_output, save_clips
-from .common import LOGGER
-from .options import ClipOptions, JointOptions, OutputOptions, ShapeOptions, Without, with_options
+from .options import LOGGER, ClipOptions, JointOptions, OutputOptions, ShapeOptions, Without, with_options
 from .terminal import (
     Model,
     given_path,

@@ -21,10 +21,9 @@ from typing import Any
 import typer
 
 from ..commands import move
-from ..commands.capture import capture
 from ..commands.clips import check_clip_output, check_suffix
+from ..commands.joints import capture, rig
 from ..commands.options import ShapeOptions, options_of
-from ..commands.rig import rig
 from ..commands.terminal import SEPARATORS, output_path, refuse_inputs
 from ..core.arguments import described
 from ..core.errors import InputError, NotInstalledError, did_you_mean, option

@@ -31,9 +31,8 @@ from ..mime.model import CapturedMotion, FittedJoints, Mime
 from ..mime.prediction import face_outward
 from ..rigs.character import Character
 from ..rigs.retarget import JointMotion, Pose, Retarget, ScannedJoints
-from .corrections import Corrections
 from .file_rigs import Rigs, heading_note, read_rigs
-from .known import Known
+from .known import Corrections, Known
 from .look import (
     OTHER,
     REJECTION_THRESHOLD,

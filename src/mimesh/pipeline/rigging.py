@@ -27,7 +27,7 @@ from ..core.options import Hints, Layout, check_influences
 from ..io import joints_file
 from ..io.beside import missing_images, missing_images_notes
 from ..io.formats import JOINTED
-from ..io.gltf.own_animation import write_own_rig
+from ..io.gltf.own_animation import own_pose, write_own_rig
 from ..io.gltf.own_rig import OwnRig
 from ..io.gltf.skinned import write_gltf_rig
 from ..methods.find import find_mime
@@ -41,7 +41,7 @@ from .placed import check_identity, with_up
 from .read import read_mesh
 from .report import RigReport, facing, facing_note, fingered_hands
 from .result import Timer
-from .skinned import check_own_layout, own_pose
+from .skinned import check_own_layout
 from .vrm import save_as_vrm
 
 NO_HINTS = Hints()

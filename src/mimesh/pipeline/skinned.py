@@ -21,16 +21,13 @@ from ..core.options import Layout, needs_joints
 from ..core.printable import file_name
 from ..core.rig import Rig, descendants
 from ..io import joints_file
-from ..io.gltf.own_animation import OwnAnimation, write_own_animations
+from ..io.gltf.own_animation import laid_out, write_own_animations
 from ..io.gltf.skinned import write_gltf_skinned
-from ..io.timing import DEFAULT_FPS
 from .report import Deviations, SavedClip, saved_clip
-from .vrma import save_bone_motions
+from .vrm import save_bone_motions
 
 if TYPE_CHECKING:
-    from ..io.gltf.animation import AnimatedValues
     from ..io.gltf.document import Document
-    from ..io.gltf.own_rig import OwnRig
     from .result import ClipResult
 
 AS_IT_IS = Layout()
@@ -146,16 +143,6 @@ def check_own_layout(person: Mapping[str, int], layout: Layout, name: str) -> No
             f"{option('names')}, {option('root_bone')}: expected the bones of a person in {name}, found others; "
             "leave the options out"
         )
-
-
-def laid_out(animation: OwnAnimation, layout: Layout) -> OwnAnimation:
-    """Give the bones of a file the names and the root bone of a layout."""
-    return animation.with_layout(SCHEMES[layout.names].bones, root_name(layout), layout.root_bone)
-
-
-def own_pose(own: OwnRig, name: str, layout: Layout, tracks: AnimatedValues | None = None) -> OwnAnimation:
-    """Return the bones of a file in a layout, in one pose: that of its nodes, but for the values in `tracks`."""
-    return laid_out(OwnAnimation(own.source, name, tracks or {}, DEFAULT_FPS, 1, own.person), layout)
 
 
 def _check_same_rig(results: Sequence[ClipResult], names: Sequence[str]) -> None:

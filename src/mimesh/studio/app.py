@@ -26,8 +26,7 @@ from ..core.errors import InputError, naming_options
 from ..core.options import Layout, check_influences, check_value
 from ..io.joint_file import SUFFIX
 from .exports import NEEDED, Order
-from .fields import field_name
-from .items import parse_rate
+from .items import field_name, parse_rate
 from .jobs import Cancelled, error_line
 from .operations import describe_file
 from .session import Session

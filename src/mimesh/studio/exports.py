@@ -20,7 +20,7 @@ from ..io.formats import CLIP_WRITERS, FORMATS, FRAME_SUFFIXES, JOINTED, MESH_WR
 from ..pipeline.capturing import JOINT_FILES
 from ..pipeline.result import ClipResult
 from ..pipeline.skinned import AS_IT_IS, save_skinned
-from ..pipeline.vrma import check_bones_layout
+from ..pipeline.vrm import check_bones_layout
 from ..tools.convert import BONES_ONLY, not_kept, part, rate_note, resampled_note, skinned_note
 from ..view.movie import MOVIES
 from .items import Item, Options, finished_result

@@ -1,4 +1,4 @@
-"""What a studio holds: the options of its page, the meshes to move and the driving clip, and their results."""
+"""What a studio holds: options and what its page calls them, meshes to move, the driving clip, and their results."""
 
 from __future__ import annotations
 
@@ -195,3 +195,42 @@ def _corrections_key(item: Item) -> tuple:
         return ()
     positions = item.corrections.positions.items()
     return (item.corrections.frame, *((name, *map(float, position)) for name, position in positions))
+
+
+FIELDS = {
+    "model": "the model",
+    "names": "bone names",
+    "rest": "rest pose",
+    "root_bone": "root bone",
+    "skinned": "bones",
+    "rig": "bones",
+    "body": "both meshes are",
+    "smooth": "smoothing",
+    "root": "root motion",
+    "ground": "feet on the ground",
+    "fps": "frame rate",
+    "output_fps": "frame rate",
+    "driving_up": "up of the driving",
+    "driving_front": "front of the driving",
+    "license": "licence",
+    "driving_part": "part of the driving",
+    "influences": "weights per vertex",
+    "joints": "corrected joints",
+    "driving_joints": "corrected joints of the driving",
+}
+"""Option -> the field of the page that it is, where that has another name."""
+CHOICES = {
+    "False": "off",
+    "own": "of the file",
+    "mimesh": "found on the surface",
+    "human": "a person",
+    "quadruped": "a four-legged animal",
+    "deformation-transfer": "deformation-transfer, of the command mimesh animate alone",
+}
+"""Value of an option -> what the field of the page calls it."""
+
+
+def field_name(name: str, value: object = None) -> str:
+    """Name an option in a message, with a value to choose, as the page does."""
+    known = FIELDS.get(name, name.replace("_", " "))
+    return known if value is None or value is ... else f"“{known}: {CHOICES.get(str(value), value)}”"

@@ -31,8 +31,7 @@ from ..methods.find import find_mime, find_model
 from ..mime.model import Mime
 from ..motions.animal_clips import ANIMAL_MOTIONS, animal_clip
 from ..pipeline.capturing import CapturedClip, capture
-from ..pipeline.corrections import Corrections, correctable_joints, shown_bones
-from ..pipeline.known import Known, driving_axes
+from ..pipeline.known import Corrections, Known, correctable_joints, driving_axes, shown_bones
 from ..pipeline.look import OTHER
 from ..pipeline.parts import PartRoute, named_parts
 from ..pipeline.report import facing

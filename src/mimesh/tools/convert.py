@@ -34,7 +34,7 @@ from ..io.timing import DEFAULT_FPS
 
 if TYPE_CHECKING:
     from ..io.gltf.own_animation import OwnAnimation
-    from ..pipeline.scans import Told
+    from ..pipeline.read import Told
 
 USUAL = ConvertOptions()
 ALL = "all"
@@ -313,8 +313,7 @@ def read_driving(
         InputError: a file cannot be read, or no frame is left.
     """
     from ..motions.on_body import is_motion_file
-    from ..pipeline.odd_frames import LONE_FRAMES, first_frame_note
-    from ..pipeline.read import load_moving
+    from ..pipeline.read import LONE_FRAMES, first_frame_note, load_moving
     from ..rigs.retarget import ScannedJoints
 
     path = chosen.path

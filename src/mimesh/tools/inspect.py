@@ -18,10 +18,10 @@ from ..core.mesh import Clip, Mesh
 from ..core.printable import listed, printable
 from ..io.beside import missing_images, missing_images_notes
 from ..methods.find import find_mime
-from ..pipeline.corrections import Corrections
 from ..pipeline.file_rigs import NO_RIGS
 from ..pipeline.gltf_rigs import known_joints, rig_facts
 from ..pipeline.joint_route import found_character
+from ..pipeline.known import Corrections
 from ..pipeline.look import KINDS, Subject, joint_finder
 from .convert import unit_guess
 

@@ -4,8 +4,7 @@ Files in .fbx are read as glTF (see `io.fbx`), and written as .glb.
 
 check -> document                         opens files, also compressed and damaged ones
 document -> scene -> read                 reads the scene of an open file at rest as a Mesh, or as a rigged character
-draft -> edit                             writes the file of a Mesh again, with other vertices
-build                                     builds the file of any Mesh: its own one again, or a new one
+draft -> edit                             builds the file of any Mesh: its own one with other vertices, or a new one
 animation                                 reads animations and bakes them to vertex positions
 skinned                                   writes joints, with a mesh or alone
 motion, vrm                               plays animated joints without a mesh on the shipped body; extensions of VRM
@@ -32,11 +31,10 @@ from ...motions.on_body import first_frame, on_body
 from ..formats import gltf_file
 from ..timing import DEFAULT_FPS
 from .animation import frame_rate, frame_times, posed_vertices, sample_nodes, select_channels, unposed_vertices
-from .build import build_document
 from .check import ARRAY_BUFFER, is_supported, list_primitives
 from .document import Document, open_document
 from .draft import Draft, Spool
-from .edit import GltfSource, PrimitiveGroup, with_normals
+from .edit import GltfSource, PrimitiveGroup, build_document, with_normals
 from .motion import PLAYED_PATHS, is_motion, read_skeleton
 from .own_rig import GltfJoints
 from .read import RestScene, read_rest

@@ -23,10 +23,12 @@ from typing import Any
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
+from ...bodies.engine_names import SCHEMES, root_name
 from ...bodies.joint_names import ancestors
 from ...core.animated_rig import frames_around
 from ...core.geometry import nearest_rotation
 from ...core.mesh import check_cut
+from ...core.options import Layout
 from ...motions.bone_motion import TRUNK
 from ..timing import DEFAULT_FPS, frame_count
 from .animation import (
@@ -49,6 +51,7 @@ from .animation import (
 from .document import Document
 from .draft import AccessorCopier, Draft
 from .edit import GltfSource
+from .own_rig import OwnRig
 from .read import get_primitive
 from .scene import (
     DEFAULT_TRS,
@@ -167,6 +170,16 @@ class OwnAnimation:
     def _unposed(self) -> list[UnposedVertices]:
         """The vertices before skinning, which are asked for several times: by report, picture, page and file."""
         return unposed_vertices(self.source.document, self.source.rest, self.tracks)
+
+
+def laid_out(animation: OwnAnimation, layout: Layout) -> OwnAnimation:
+    """Give the bones of a file the names and the root bone of a layout."""
+    return animation.with_layout(SCHEMES[layout.names].bones, root_name(layout), layout.root_bone)
+
+
+def own_pose(own: OwnRig, name: str, layout: Layout, tracks: AnimatedValues | None = None) -> OwnAnimation:
+    """Return the bones of a file in a layout, in one pose: that of its nodes, but for the values in `tracks`."""
+    return laid_out(OwnAnimation(own.source, name, tracks or {}, DEFAULT_FPS, 1, own.person), layout)
 
 
 def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> None:
