@@ -254,7 +254,6 @@ class ClipJob:
 
 
 def _log(result: Result | ClipResult, model: str, body: str) -> None:
-    """Write the times of the steps, and what was chosen and why, to the log (--verbose)."""
     import logging
 
     log, report = logging.getLogger(LOGGER), result.report
@@ -288,7 +287,6 @@ def _write_preview(
 
 
 def _previews(output: Path, preview: bool, clip: str | None = None, usual: str = ".glb") -> tuple[Path, ...]:
-    """Return the paths of the picture and the page that are written beside an output."""
     if not preview:
         return ()
     from ..tools.preview import names_beside
@@ -309,7 +307,6 @@ def check_outputs(
 
 
 def _timed(work):
-    """Call a function; return its result and the wall time in seconds."""
     import time
 
     begin = time.perf_counter()
@@ -344,7 +341,6 @@ def _named_joints(corrections: JointCorrections) -> str:
 
 
 def _files(options: ModelOptions) -> tuple[Path | None, ...]:
-    """Return the files that options of a model name."""
     return tuple(file for file in (options.reference, options.markers) if isinstance(file, Path))
 
 
@@ -492,7 +488,6 @@ def _print_summary(facts: dict[str, Any]) -> None:
 
 
 def _print_viewing(facts: dict[str, Any]) -> None:
-    """Print how to look at a result: its page, or the command that makes a page or a picture of it."""
     output = Path(facts["output"])
     if facts["report"]["page"]:
         say(f"next: open {facts['report']['page']} in a browser")

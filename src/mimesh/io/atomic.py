@@ -132,11 +132,7 @@ def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
 
 
 def temporary_folder() -> Path:
-    """Return the system's folder for temporary files, as TMPDIR may say.
-
-    Raises:
-        OSError: there is none that can be written to.
-    """
+    """Return the system's folder for temporary files, as TMPDIR may say."""
     return Path(tempfile.gettempdir())
 
 

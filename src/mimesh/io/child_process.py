@@ -250,7 +250,6 @@ def _wait(process: subprocess.Popen[bytes], counts: Path, limits: Limits, name: 
 
 
 def _reason(code: int, message: str, limits: Limits) -> str:
-    """Describe why a child failed, and what to do, from its exit code."""
     if code == NO_MEMORY or "MemoryError" in message or "bad_alloc" in message:
         memory = f"{limits.memory // MIB:,} MiB"
         return f"that it needs more than {memory} of memory; the file is damaged or too large, export it again"

@@ -85,7 +85,6 @@ def _read_header(lines: list[bytes], non_empty: list[int], path: Path) -> tuple[
 def _read_faces(
     lines: list[bytes], index: list[int], vertex_count: int, path: Path
 ) -> tuple[Int[np.ndarray, "F 3"], Int[np.ndarray, " P"]]:
-    """Read the face lines; return triangles and the corner count of each polygon."""
     rows = [lines[i].split() for i in index]
     try:
         polygons = [list(map(int, row[1 : 1 + int(row[0])])) for row in rows]

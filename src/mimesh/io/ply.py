@@ -288,7 +288,6 @@ def _read_elements(lines: list[list[str]], order: str) -> list[_Element]:
 
 
 def _read_body(elements: list[_Element], body: np.ndarray, path: Path) -> _Columns:
-    """Read every property of every element."""
     columns: _Columns = {}
     start = 0
     for element in elements:

@@ -131,9 +131,6 @@ def joints_file(path: str | Path, animated: bool = True) -> Iterator[Path]:
 
     Args:
         animated: whether the file has an animation, which a .vrm cannot have.
-
-    Raises:
-        InputError: another format, or a path that cannot be written to.
     """
     path = Path(path)
     if animated:
@@ -145,11 +142,7 @@ def joints_file(path: str | Path, animated: bool = True) -> Iterator[Path]:
 
 
 def save_vrma(motions: Sequence[BoneMotion], path: str | Path) -> None:
-    """Write motions of the humanoid bones of one skeleton as a VRM animation (.vrma).
-
-    Raises:
-        InputError: another format, or a path that cannot be written to.
-    """
+    """Write motions of the humanoid bones of one skeleton as a VRM animation (.vrma)."""
     from .gltf.vrm import write_vrma
 
     path = Path(path)
@@ -183,9 +176,6 @@ def save_vrm(
         bones: humanoid bone -> joint of the skinned mesh, or node of the file.
         turn: rotation from the axes of the rig to y up, +z front.
         origin: point of the rig on the ground below the hips, which is the origin of the file.
-
-    Raises:
-        InputError: a path that cannot be written to.
     """
     from .gltf.document import open_document
     from .gltf.own_animation import write_own_pose
@@ -211,9 +201,6 @@ def save_whole(source: Path, path: Path, animation: str | None = None) -> None:
         source: the file.
         path: where to write it.
         animation: name or number of the only animation that is kept; None: all are.
-
-    Raises:
-        InputError: a damaged file, no such animation, no Blender, or a path that cannot be written to.
     """
     from .gltf.animation import animation_names, find_animation
     from .gltf.document import open_document
@@ -305,9 +292,6 @@ def save_joint_motion(
         rest: positions at rest, in the unit of the file.
         rotmat: rotation of each joint in its parent's frame; joints at rest have the axes of the world.
         root: position of the root.
-
-    Raises:
-        InputError: the path cannot be written to.
     """
     from scipy.spatial.transform import Rotation
 

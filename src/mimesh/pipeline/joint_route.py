@@ -277,12 +277,7 @@ def report_confidence(retarget: Retarget, report: dict[str, Any], names: tuple[s
 
 
 def joint_route(identity: Mesh, clip: Clip, mime: Mime, known: Known, rigs: Rigs) -> JointRoute:
-    """Find the joints of both meshes, and let the identity's follow the driving's.
-
-    Raises:
-        InputError: an axis, the body or the corrections cannot be used.
-        RefusedMeshError: a mesh looks like none of the bodies, or the two are of different kinds.
-    """
+    """Find the joints of both meshes, and let the identity's follow the driving's."""
     first, asked = first_frame(clip), known.asked_body
     subjects = rigs.subjects(identity, first, known.axes)
     unnamed = any(rigs.unnamed) and finds_joints(mime)

@@ -99,11 +99,7 @@ class Corrections:
         return _normalised(self.identity, identity.vertices, joints, identity.name, norm)
 
     def of_driving(self, keyframes: Clip, joints: tuple[str, ...], norm: Normalization) -> tuple[Positions, Clip]:
-        """Return the driving's corrected joints, normalised, and its keyframes with their frame at the end.
-
-        Raises:
-            InputError: as `of_identity`.
-        """
+        """Return the driving's corrected joints, normalised, and its keyframes with their frame at the end."""
         if self.driving_frame is None:
             return {}, keyframes
         positions = _normalised(self.driving, self.driving_frame, joints, keyframes.mesh.name, norm)
@@ -191,9 +187,6 @@ class Known:
 
         Args:
             whole: the clip before frames of it were chosen, where that is another one; corrections are in its frames.
-
-        Raises:
-            InputError: a file of joints that cannot be read, or a frame that the clip does not have.
         """
         corrections = Corrections.read(hints.joints, hints.driving_joints, clip if whole is None else whole)
         # Those of scans were taken into account when their joints were found.

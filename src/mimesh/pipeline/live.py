@@ -147,9 +147,6 @@ def live_session(found: Route | PartRoute, model: str, root: str, threads: int |
         model: name of the model.
         root: as in `animate`.
         threads: of linear algebra; None leaves them as they are.
-
-    Raises:
-        InputError: the method looks at more than one frame at a time.
     """
     parts = found if isinstance(found, PartRoute) else None
     route = found.route if isinstance(found, PartRoute) else found
@@ -184,7 +181,6 @@ def limited_threads(threads: int | None) -> Callable[[], AbstractContextManager]
 
 
 def _pose_function(route: JointRoute | VertexRoute, first: Float[np.ndarray, "U 3"], root: str) -> PoseFrame:
-    """Return the function that makes a frame of the result."""
     if isinstance(route, VertexRoute):
         pose = _step(route.drive, first, route.names[1], route.method.name)
     else:

@@ -86,8 +86,7 @@ class NodeRoute:
             return OwnAnimation(source, name, self.matched.tracks(root), self.clip.fps, length, {})
         assert self.rigs.copied is not None
         person = {} if self.rigs.identity is None else self.rigs.identity.person
-        tracks, keys = self.rigs.copied.tracks, self.rigs.copied.keys
-        return OwnAnimation(source, name, tracks, self.clip.fps, length, person, keys=keys)
+        return OwnAnimation(source, name, self.rigs.copied.tracks, self.clip.fps, length, person)
 
     @cached_property
     def _unchanged(self) -> OwnAnimation:
@@ -130,11 +129,7 @@ class MatchedCreatures:
         }
 
     def tracks(self, root: str) -> AnimatedValues:
-        """Compute the animated values of the identity's nodes in all frames of the driving.
-
-        Raises:
-            InputError: the driving has NaN or infinity.
-        """
+        """Compute the animated values of the identity's nodes in all frames of the driving."""
         document, nodes = self.joints.document, self.driving.nodes
         world = sample_joints(document, self.joints.channels, self.joints.times, nodes)
         if not np.isfinite(world).all():
@@ -203,11 +198,7 @@ def _surface_advice(shown: list[set[str]], names: tuple[str, str]) -> str:
 
 
 def match_creatures(identity: Mesh, clip: Clip, axes: Axes) -> MatchedCreatures | None:
-    """Match the rigs of two files; None where one of them has none.
-
-    Raises:
-        InputError: a damaged rig.
-    """
+    """Match the rigs of two files; None where one of them has none."""
     joints = clip.skeleton
     if not isinstance(joints, GltfJoints) or joints.mesh is None or not has_rig(joints.mesh) or not has_rig(identity):
         return None

@@ -233,7 +233,6 @@ def _named(mesh: Mesh, name: str, asked: str) -> Bool[np.ndarray, " P"]:
 
 
 def _cut(mesh: Mesh, chosen: Bool[np.ndarray, " P"]) -> MeshPart:
-    """Make a mesh of some of the parts of another."""
     faces = np.concatenate([np.arange(p.start, p.stop) for p, take in zip(mesh.parts, chosen, strict=True) if take])
     if _gltf_source(mesh) is not None:
         from ..io.gltf.parts import gltf_part

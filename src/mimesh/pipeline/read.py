@@ -216,7 +216,6 @@ def _likeliest(rotation: Float[np.ndarray, "T J 3 3"]) -> Int[np.ndarray, "T J"]
 
 
 def _notes(name: str, paths: list[Path], best: int, uncertainty: Float[np.ndarray, " T"]) -> tuple[str, ...]:
-    """Tell what was made of the scans, and in which of them joints were not found with certainty."""
     note = (
         f"{name} has meshes of different topologies: joints were found in each of the {len(paths)}, and "
         f"{paths[best].name} is moved by them"

@@ -231,7 +231,6 @@ class Result(_Playable):
         return self.mesh.vertices
 
     def _distinct(self) -> tuple[LazyFrames, Int[np.ndarray, " V"] | None]:
-        """Return the vertices as a frame, each position once, and the number of the position of each vertex."""
         group = None if self.skeleton is None else same_colors(self.mesh, self.skeleton.group)
         return LazyFrames.stored(merged_mesh(self.mesh, group).vertices[None]), group
 
@@ -316,7 +315,6 @@ class ClipResult(_Playable):
         return Clip(self.mesh, self.frames.every(1), self.fps)
 
     def _distinct(self) -> tuple[LazyFrames, Int[np.ndarray, " V"] | None]:
-        """Return the frames, each position that vertices share once, and the number of the position of each vertex."""
         group = same_colors(self.mesh, self.frames.group)
         return (self.frames if group is None else self.frames.distinct), group
 

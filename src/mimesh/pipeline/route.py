@@ -41,9 +41,6 @@ def find_route(
 
     Args:
         live: frames come later, one by one, and are vertices alone.
-
-    Raises:
-        InputError: an axis, a part, the model, its options or the corrections cannot be used.
     """
     mine, theirs = find_part(identity, known.parts[0]), find_part(clip.mesh, known.parts[1], "driving_part")
     if mine is None and theirs is None:

@@ -109,7 +109,6 @@ def _save_on_found_rig(
 
 
 def _check_results(results: Sequence[ClipResult], path: str | Path, names: Sequence[str] | None) -> None:
-    """Raise InputError for what are no results of `animate`, or not as many names."""
     if not isinstance(results, Sequence) or isinstance(results, str):
         raise InputError(f"results: expected a list of results of animate, found {described(results)}; give [result]")
     if not results:
@@ -146,7 +145,6 @@ def check_own_layout(person: Mapping[str, int], layout: Layout, name: str) -> No
 
 
 def _check_same_rig(results: Sequence[ClipResult], names: Sequence[str]) -> None:
-    """Raise InputError if results are not all on the own rig of one identity."""
     moved = {result.own is not None: name for result, name in zip(results, names, strict=True)}
     if False in moved:
         raise InputError(
@@ -163,7 +161,6 @@ def _check_same_rig(results: Sequence[ClipResult], names: Sequence[str]) -> None
 
 
 def _same_file(first: Document, other: Document) -> bool:
-    """Tell whether two documents were read from one file, or from files with the same content."""
     return first is other or (first.gltf == other.gltf and bytes(first.binary) == bytes(other.binary))
 
 
@@ -208,9 +205,6 @@ def on_common_rig(skeletons: Sequence[AnimatedRig]) -> list[AnimatedRig]:
 
     Only fingers may differ: a model that finds them adds their joints where the driving moves them. The common rig has
     the fingers that any motion has; in the others these follow the hand.
-
-    Raises:
-        InputError: other vertices, joints or rest positions.
     """
     first = skeletons[0]
     for skeleton in skeletons[1:]:
@@ -225,13 +219,11 @@ def on_common_rig(skeletons: Sequence[AnimatedRig]) -> list[AnimatedRig]:
 
 
 def _body_names(skeleton: AnimatedRig) -> list[str]:
-    """List the joints that are no fingers."""
     fingers = {name for side in SIDES for name in finger_joints(side)}
     return [name for name in skeleton.names if name not in fingers]
 
 
 def _check_same(first: AnimatedRig, other: AnimatedRig) -> None:
-    """Raise InputError if two motions are not those of one identity."""
     a, b = first.mesh.vertices, other.mesh.vertices
     allowed = SAME_JOINT * first.size
     same = a.shape == b.shape and np.abs(a - b).max() <= allowed

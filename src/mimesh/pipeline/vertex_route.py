@@ -150,9 +150,6 @@ def vertex_route(
 
     Args:
         rigs: joints in the files say how both meshes stand; they are not moved.
-
-    Raises:
-        InputError: an axis, the model or its options cannot be used.
     """
     first, asked = first_frame(clip), known.asked_body
     subjects = rigs.subjects(identity, first, known.axes)

@@ -41,9 +41,6 @@ def save_bone_motions(results: Sequence[ClipResult], path: Path, names: Sequence
 
     Args:
         layout: only its frame rate may differ from the default.
-
-    Raises:
-        InputError: joints that are not those of a person, or another layout.
     """
     check_bones_layout(layout, path)
     motions = [_bone_motion(result, name, layout.fps, path) for result, name in zip(results, names, strict=True)]
@@ -176,12 +173,7 @@ def vrm_meta(name: str, author: str | Sequence[str] | None, license: str | None,
 def save_as_vrm(
     rigged: RiggedMesh, layout: Layout, author: str | Sequence[str] | None, license: str | None, path: Path
 ) -> None:
-    """Write a rigged mesh as .vrm; a file that is one already stays as it is.
-
-    Raises:
-        InputError: it is no person, another pose is asked for, maker or licence are missing, or the path cannot be
-            written to.
-    """
+    """Write a rigged mesh as .vrm; a file that is one already stays as it is."""
     own, report = rigged.own, rigged.report
     if rigged.body != "human":
         raise InputError(f"{path}: expected a person for a .vrm, found a four-legged animal; write a .glb")

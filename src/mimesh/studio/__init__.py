@@ -81,11 +81,7 @@ def quiet_server(app: AccessControl) -> uvicorn.Server:
 
 
 def make_session(files: list[Path], limit: int, model: str = "mime") -> Session:
-    """Start a session with files, models among them, as `serve` takes them.
-
-    Raises:
-        InputError: a file that does not exist, or an unknown model.
-    """
+    """Start a session with files, models among them, as `serve` takes them."""
     for file in files:
         if not file.exists():
             raise InputError(f"{file}: expected a file or folder, found nothing of that name; check the path")

@@ -283,7 +283,6 @@ async def _not_found(request: Request, error: Exception) -> Response:
 
 
 def _use_upload(session: Session, upload: Upload, role: str) -> list[int]:
-    """Add the meshes or the clip of an upload to the session; returns their numbers."""
     if not upload.files:
         raise InputError("upload: expected a file, found none; choose one")
     if role == "identity":

@@ -99,11 +99,7 @@ def formats(what: str, moving: bool) -> list[dict[str, str | bool]]:
 
 
 def write(export: Export, items: Sequence[Item], driving: Item | None, options: Options, progress: Progress) -> Path:
-    """Write the results or rigs of meshes, or the motion of the driving clip, and return the one file to download.
-
-    Raises:
-        InputError: a format or option that is not possible for these.
-    """
+    """Write the results or rigs of meshes, or the motion of the driving clip, and return the one file to download."""
     order = export.order
     if (driving is None and order.what != "rig") or (not items and order.what != "motion"):
         raise InputError(f"export: expected {NEEDED[order.what]}, found none; add what is missing")
@@ -172,7 +168,6 @@ def _write_result(order: Order, result: ClipResult, driving: str, target: Path, 
 
 
 def _write_rig(order: Order, item: Item, options: Options, target: Path, progress: Progress) -> list[str]:
-    """Find the rig of a mesh and write it; returns notes on both."""
     rigged, path, layout = rig_mesh(item, options), _with_suffix(target, order), order.layout
     progress(1, 2)
     bones = {"names": layout.names, "root_bone": layout.root_bone, "rest": layout.rest}
@@ -181,7 +176,6 @@ def _write_rig(order: Order, item: Item, options: Options, target: Path, progres
 
 
 def _write_motion(order: Order, driving: Item, options: Options, target: Path, progress: Progress) -> tuple[str, ...]:
-    """Read the joints of the driving clip and write them; returns notes on them."""
     captured = capture_driving(driving, options, progress)
     captured.save(_with_suffix(target, order))
     return captured.notes
@@ -192,7 +186,6 @@ def _with_suffix(target: Path, order: Order) -> Path:
 
 
 def _check(order: Order, name: str) -> None:
-    """Check that the format of a result has what is asked for."""
     suffix, layout = order.suffix, order.layout
     of_bones = layout != AS_IT_IS or order.influences != INFLUENCES
     if suffix == BONES_ONLY:
@@ -235,7 +228,6 @@ def _unused(stem: str, used: set[str]) -> str:
 
 
 def _zip(files: list[Path], top: Path, path: Path) -> Path:
-    """Pack files into an archive, with paths relative to `top`."""
     with whole_file(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as pack:
         for file in files:
             pack.write(file, file.relative_to(top))

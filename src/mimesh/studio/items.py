@@ -35,11 +35,7 @@ class Options:
     rig: str = "own"
 
     def changed(self, changes: dict[str, Any], models: tuple[str, ...]) -> Options:
-        """Return the options with some values changed.
-
-        Raises:
-            InputError: an unknown option, or a value that is not possible.
-        """
+        """Return the options with some values changed."""
         unknown = changes.keys() - {field.name for field in dataclasses.fields(self)}
         if unknown:
             raise InputError(f"{min(unknown)}: expected the name of an option, found this; leave it out")
@@ -72,11 +68,7 @@ class Options:
 
 
 def parse_rate(value: Any) -> float | None:
-    """Parse a frame rate of the page in frames per second; None for the file's own.
-
-    Raises:
-        InputError: not a positive number.
-    """
+    """Parse a frame rate of the page in frames per second; None for the file's own."""
     if value in (None, ""):
         return None
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
@@ -171,11 +163,7 @@ class Outcome:
 
 
 def finished_result(item: Item) -> ClipResult:
-    """Return the result of a mesh.
-
-    Raises:
-        InputError: it is not finished for the current inputs.
-    """
+    """Return the result of a mesh."""
     if item.outcome is None or item.outcome.result is None or not item.outcome.current:
         raise InputError(f"{item.name}: expected a finished result, found none; wait for it, or see its error message")
     return item.outcome.result
@@ -190,7 +178,6 @@ def preparation_inputs(item: Item, driving: Item, options: Options) -> tuple:
 
 
 def _corrections_key(item: Item) -> tuple:
-    """Return the values of the corrections of an item, to be compared."""
     if item.corrections is None:
         return ()
     positions = item.corrections.positions.items()

@@ -115,22 +115,14 @@ def compute_result(route: Route | PartRoute, clip: Clip, options: Options, progr
 
 
 def rig_mesh(item: Item, options: Options) -> RiggedMesh:
-    """Find the rig of a mesh, as `mimesh.rig` does.
-
-    Raises:
-        InputError: it has not been read, or as `mimesh.rig`.
-    """
+    """Find the rig of a mesh, as `mimesh.rig` does."""
     if not isinstance(item.content, Mesh):
         raise _unread(item)
     return rig(item.content, options.model, hints=_hints(item, options))
 
 
 def capture_driving(item: Item, options: Options, progress: Progress) -> CapturedClip:
-    """Read the joints of the driving clip, as `mimesh.capture` does.
-
-    Raises:
-        InputError: it has not been read, or as `mimesh.capture`.
-    """
+    """Read the joints of the driving clip, as `mimesh.capture` does."""
     if not isinstance(item.content, Clip):
         raise _unread(item)
     hints = _hints(item, options)
@@ -138,7 +130,6 @@ def capture_driving(item: Item, options: Options, progress: Progress) -> Capture
 
 
 def _hints(item: Item, options: Options) -> Hints:
-    """Return what the page says of one mesh or clip."""
     kind, body = options.kind(find_mime(options.model))
     return Hints(up=item.up, front=item.front, rig=kind, body=body, joints=item.corrections, part=item.part)
 
@@ -158,11 +149,7 @@ def for_page(text: str, folder: Path) -> str:
 
 
 def read_side_file(path: Path | None) -> JointCorrections | None:
-    """Read the corrections beside a mesh or clip; None if there are none.
-
-    Raises:
-        InputError: they cannot be read.
-    """
+    """Read the corrections beside a mesh or clip; None if there are none."""
     if path is None or not side_file(path).is_file():
         return None
     corrections = load_corrections(side_file(path))
@@ -186,11 +173,7 @@ def check_corrections(item: Item, corrections: JointCorrections) -> None:
 
 
 def parse_positions(item: Item, positions: Any) -> JointCorrections | None:
-    """Make corrections from the positions that the page sends, in the frame of the earlier ones; None from none.
-
-    Raises:
-        InputError: they are not positions of joints, or do not belong to the mesh.
-    """
+    """Make corrections from the positions that the page sends, in the frame of the earlier ones; None from none."""
     if not isinstance(positions, Mapping):
         raise InputError("joints: expected an object of positions, found something else; reload the page")
     frame = 0 if item.corrections is None else item.corrections.frame

@@ -208,9 +208,6 @@ def read_clip(
     Args:
         frames: see `load_clip`.
         betas: see `load_recorded_clip`.
-
-    Raises:
-        InputError: a file cannot be read, or no frame is left.
     """
     if body_model is None:
         clip = load_driving(path, fps=fps, animation=animation, progress=progress, frames=frames)
@@ -308,9 +305,6 @@ def read_driving(
         frames: those to take; of a motion file no others are posed, of scans no others are read.
         whole: check `frames`, and return all.
         told: what is known of scans.
-
-    Raises:
-        InputError: a file cannot be read, or no frame is left.
     """
     from ..motions.on_body import is_motion_file
     from ..pipeline.read import LONE_FRAMES, first_frame_note, load_moving
@@ -556,7 +550,6 @@ def part(progress: Progress | None, number: int, parts: int) -> Progress | None:
 
 
 def _refuse_options(target: Path, given: Sequence[str], reason: str, alternative: str = "") -> None:
-    """Raise InputError if options are given that would have no effect."""
     if given:
         raise InputError(f"{target}: expected no {given[0]} ({reason}), found it; leave it out{alternative}")
 
@@ -599,7 +592,6 @@ def taken_pose_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
 
 
 def _write_mesh(mesh: Mesh, target: Path, frames: int = 1, notes: tuple[str, ...] = ()) -> Converted:
-    """Write one mesh, the first of so many frames."""
     save_mesh(mesh, target)
     notes += not_kept(mesh, target) + _lying_note(mesh, target)
     if frames > 1:

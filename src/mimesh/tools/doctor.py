@@ -77,7 +77,6 @@ def _version(package: str, extra: str | None = None, purpose: str = "") -> Check
 
 
 def _blender() -> Check:
-    """Look for the Blender that writes FBX, which may be missing."""
     from ..core.errors import InputError
     from ..io.fbx.write import PACKAGE, VARIABLE, find_blender
 

@@ -110,11 +110,7 @@ class FileFacts:
 
 
 def inspect_file(path: str | Path) -> FileFacts:
-    """Read a mesh, a clip or a folder of frames and collect its facts.
-
-    Raises:
-        InputError: the file cannot be read (see `mimesh.io`).
-    """
+    """Read a mesh, a clip or a folder of frames and collect its facts."""
     from ..io import load_clip
 
     clip = load_clip(path)
@@ -178,7 +174,6 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
 
 
 def _rows(facts: FileFacts) -> Iterator[tuple[str, str]]:
-    """Yield the lines of the text, as name and value."""
     split = f" at {facts.positions:,} positions" if facts.positions != facts.vertices else ""
     yield "format", facts.format
     yield from facts.details
@@ -250,7 +245,6 @@ def _polygons(mesh: Mesh) -> int | None:
 
 
 def _other_facts(path: Path, clip: Clip) -> tuple[tuple[str, ...], tuple[tuple[str, str], ...]]:
-    """Return animations and details of a file without a mesh, or of a body model."""
     from ..io.formats import ANIMATED, is_body_model
     from ..io.gltf.animation import animation_names, document_details
     from ..io.gltf.document import open_document

@@ -226,7 +226,6 @@ def _eye(local, reach, radius):
 
 
 def _angles(view: str | tuple[float, float]) -> tuple[float, float]:
-    """Look up azimuth and elevation of a view, in degrees."""
     if not isinstance(view, str):
         return view
     if view not in VIEWS:

@@ -33,11 +33,7 @@ MOVIE_SIZE = (640, 720)
 
 
 def write_clip(clip: Clip, path: Path, frames_as: str | None = None, progress: Progress | None = None) -> None:
-    """Write a clip as a file, a folder of frames or a movie.
-
-    Raises:
-        InputError: a format without clips, or a path that cannot be written to.
-    """
+    """Write a clip as a file, a folder of frames or a movie."""
     if path.suffix.lower() not in MOVIES:
         save_clip(clip, path, suffix=frames_as, progress=progress)
         return

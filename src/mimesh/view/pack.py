@@ -282,7 +282,6 @@ def _placements(panels: Sequence[Panel]) -> list[dict[str, Any]]:
 
 
 def _mean_diagonal(clip: Clip) -> float:
-    """Return the mean diagonal of the bounding boxes of 12 frames, evenly spaced."""
     chosen = np.unique(np.linspace(0, len(clip) - 1, 12).round().astype(int))
     frames = each_frame(clip.vertices[chosen])
     return float(np.mean([np.linalg.norm(np.ptp(points, axis=0)) for points in frames]))

@@ -80,9 +80,6 @@ def player_page(
         download: a file that the page offers; it may take half of the budget.
         budget: size of the page in bytes; see `pack_scene` for what is reduced.
         motion: limits of the motion alone.
-
-    Raises:
-        InputError: no panel, or a role that is not one of ROLES.
     """
     script, style = web_file("player.js"), web_file("player.css")
     # What the page itself leaves: script and style take about 0.6 MB.
@@ -98,11 +95,7 @@ def player_page(
 
 
 def write_player(path: str | Path, panels: Sequence[Panel], **options: Any) -> Path:
-    """Write `player_page` to a file, completely or not at all.
-
-    Raises:
-        InputError: as `player_page`, a name that does not end in .html, or a path that cannot be written.
-    """
+    """Write `player_page` to a file, completely or not at all."""
     if Path(path).suffix.lower() != ".html":
         found = Path(path).suffix
         raise InputError(f"{path}: expected a name that ends in .html, found '{found}'; name the page so")

@@ -96,9 +96,6 @@ def write_fbx(glb: Path, target: Path, name: Path) -> None:
 
     Args:
         name: the file that error messages name.
-
-    Raises:
-        InputError: no Blender, or one that fails or does not end.
     """
     command = find_blender(name)
     document = open_document(glb)

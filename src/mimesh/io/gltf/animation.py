@@ -251,11 +251,7 @@ def _read_channels(document: Document, animation: int) -> list[AnimationChannel]
 
 
 def animated_nodes(document: Document, paths: Collection[str]) -> set[int]:
-    """List the nodes whose properties of some target paths any animation moves, without reading keys.
-
-    Raises:
-        InputError: a channel without a target.
-    """
+    """List the nodes whose properties of some target paths any animation moves, without reading keys."""
     count, found = len(document.gltf.get("nodes", [])), set()
     for number, entry in enumerate(document.gltf.get("animations", [])):
         try:
@@ -273,9 +269,6 @@ def select_channels(document: Document, selector: str | None) -> list[AnimationC
     Complementing animations are those, in file order, whose targets no chosen animation has. Blender writes one
     animation for each object that moves, and all of them belong together; animations of the same targets are
     alternatives (measured with Blender 4.5 and 5.0, docs/log/formats.md).
-
-    Raises:
-        InputError: as `find_animation` and `read_channels`.
     """
     if selector is not None:
         return read_channels(document, find_animation(animation_names(document), selector, document.path))

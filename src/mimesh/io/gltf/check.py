@@ -227,9 +227,6 @@ def check_sizes(gltf: dict[str, Any], size: int, path: Path) -> None:
     Args:
         gltf: the JSON, checked by `check_document`.
         size: bytes of all buffers.
-
-    Raises:
-        InputError: a number is above its budget, or too many nodes are below each other.
     """
     nodes, accessors = gltf.get("nodes", []), gltf.get("accessors", [])
     # How many nodes are below each other; loops are reported by those who walk the tree.
@@ -262,11 +259,7 @@ def check_sizes(gltf: dict[str, Any], size: int, path: Path) -> None:
 
 
 def element_size(accessor: dict[str, Any], index: int, path: Path) -> int:
-    """Return the bytes of one element; columns of matrices start at multiples of 4 bytes (3.6.2.4 Data Alignment).
-
-    Raises:
-        InputError: the component type or the type is not one of glTF 2.0.
-    """
+    """Return the bytes of one element; columns of matrices start at multiples of 4 bytes (3.6.2.4 Data Alignment)."""
     component, kind = accessor["componentType"], accessor["type"]
     if component not in COMPONENT_TYPES or kind not in COMPONENT_COUNTS:
         raise damaged(path, f"a glTF 2.0 type in accessor {index}", f"{component} {kind}")
@@ -307,7 +300,6 @@ def _check_primitive(gltf: dict[str, Any], primitive: dict[str, Any], path: Path
 
 
 def _values_at(value: Any, location: str, path: Path) -> Iterator[Any]:
-    """Yield all values at a location of the JSON tree."""
     step, _, rest = location.partition(" ")
     if step == "[]":
         _expect(isinstance(value, list), path, f"a list before '{location}'", value)

@@ -12,10 +12,9 @@ animation (.vrma) animates them.
 
 from __future__ import annotations
 
-import dataclasses
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -67,8 +66,6 @@ class SharedMotion:
     """Whether both skeletons have the same rest pose and size, so that the copy is exact."""
     alike: bool
     """Whether the rest poses are alike enough for the copy of the whole skeleton."""
-    keys: dict[tuple[int, str], AnimationChannel] = field(default_factory=dict)
-    """Keys of the driving file, where they can be copied as they are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +111,6 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
     scale = 1.0 if same_rest else float(lengths[0].sum() / max(lengths[1].sum(), 1e-12))
     values = driving.values()
     tracks: AnimatedValues = {}
-    sources: dict[tuple[int, str], tuple[int, str]] = {}
     for k, (node, other) in enumerate(pairs.items()):
         if turned[k] >= ALIKE:
             continue
@@ -132,7 +128,6 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
                 value = normalized_quaternions(since_rest.as_quat())
             if path == "rotation":
                 value = continuous_quaternions(value, own[path])
-            sources[node, path] = (other, path)
             if len(value) > 1 and np.ptp(value, axis=0).max() == 0:
                 value = value[:1]
             if len(value) > 1 or np.abs(value - own[path]).max() > 0:
@@ -147,7 +142,6 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
         beside = {key: source for key, source in beside.items() if source[0] not in above}
         for top in set().union(*above.values()):
             carried = _carried(mine, top, tracks, driving, pairs[top], scale)
-            sources = {key: source for key, source in sources.items() if key[0] != top}
             tracks = {key: track for key, track in tracks.items() if key[0] != top} | carried
     for key, source in beside.items():
         tracks[key] = continuous_quaternions(values[source]) if key[1] == "rotation" else values[source]
@@ -156,8 +150,7 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
         _same_targets(mine, node, theirs, node) for node in range(len(_names(mine))) if target_count(mine, node)
     )
     faces = {} if same_file else morph_tracks(mine, named_weights(theirs, driving.channels, driving.times))
-    keys = _copied_keys(driving, sources | beside) if same_rest and driving.whole else {}
-    return SharedMotion(faces | tracks, same_rest, alike, keys)
+    return SharedMotion(faces | tracks, same_rest, alike)
 
 
 def _moving_above(driving: GltfJoints, pairs: dict[int, int]) -> dict[int, set[int]]:
@@ -257,22 +250,6 @@ def _same_above(mine: Document, theirs: Document, pairs: dict[int, int]) -> bool
         if np.abs(above[0][:3, :3] - above[1][:3, :3]).max() > SAME_ROTATION * size:
             return False
     return True
-
-
-def _copied_keys(
-    driving: GltfJoints, sources: Mapping[tuple[int, str], tuple[int, str]]
-) -> dict[tuple[int, str], AnimationChannel]:
-    """Copy the keys of properties that change; they are exact between frames too, whatever their times."""
-    channels = {(channel.node, channel.path): channel for channel in driving.channels if not channel.constant}
-    keys = {}
-    for key, source in sources.items():
-        if source not in channels:
-            continue
-        channel = dataclasses.replace(channels[source], node=key[0])
-        if channel.path == "rotation" and channel.interpolation == "LINEAR":
-            channel = dataclasses.replace(channel, values=continuous_quaternions(channel.values))
-        keys[key] = channel
-    return keys
 
 
 def _other_sources(

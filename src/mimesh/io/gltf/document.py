@@ -109,11 +109,7 @@ def open_document(path: Path) -> Document:
 
 
 def check_decoders(path: Path) -> None:
-    """Check that what decodes the compressed data of a .glb, .vrm or .gltf file is installed; damaged files pass.
-
-    Raises:
-        NotInstalledError: it is not.
-    """
+    """Check that what decodes the compressed data of a .glb, .vrm or .gltf file is installed; damaged files pass."""
     if not missing_decoders():
         return
     try:
@@ -126,12 +122,7 @@ def check_decoders(path: Path) -> None:
 
 
 def element_bytes(document: Document, index: int) -> UInt8[np.ndarray, "N S"]:
-    """Return the bytes of each element of an accessor, one element a row, without strides and with sparse values.
-
-    Raises:
-        InputError: the accessor has an unknown type, reaches beyond its buffer view, or is large without having one
-            (it then stands for zeros).
-    """
+    """Return the bytes of each element of an accessor, one element a row, without strides and with sparse values."""
     accessor = document.gltf["accessors"][index]
     count, size = accessor["count"], element_size(accessor, index, document.path)
     if "bufferView" in accessor:
@@ -202,9 +193,6 @@ class MappedFiles:
         """Return the bytes behind a URI of the document; None where there is no such file.
 
         Only data: URIs and files are read; nothing is ever fetched from the network.
-
-        Raises:
-            InputError: a data: URI is not valid base64.
         """
         if uri.startswith("data:"):
             try:
@@ -430,11 +418,7 @@ def is_fallback(buffer: dict[str, Any]) -> bool:
 
 
 def compressed_views(gltf: dict[str, Any], path: Path) -> dict[int, str]:
-    """List the buffer views that have to be decoded, with the name of the extension that says how.
-
-    Raises:
-        InputError: a view lies in a buffer without bytes and is not compressed.
-    """
+    """List the buffer views that have to be decoded, with the name of the extension that says how."""
     required = {str(name) for name in gltf.get("extensionsRequired", [])}
     found = {}
     for number, view in enumerate(gltf.get("bufferViews", [])):
@@ -484,7 +468,6 @@ def decompress(
 
 
 def _draco_primitives(gltf: dict[str, Any]) -> list[dict[str, Any]]:
-    """List the primitives that have compressed data."""
     return [primitive for primitive in list_primitives(gltf) if DRACO in primitive.get("extensions", {})]
 
 
@@ -645,9 +628,6 @@ def decode(source: Path, target: Path) -> None:
     """Decode the jobs of a request and write their results one after another, padded to multiples of 4 bytes.
 
     A request is the length of its JSON (8 bytes), the JSON, and the compressed data of all jobs.
-
-    Raises:
-        InputError: the data has another number of elements than the JSON says.
     """
     content = source.read_bytes()
     start = 8 + int.from_bytes(content[:8], "little")

@@ -233,7 +233,6 @@ class NumberTooLarge(InputError):
 
 
 def _as_float32(values: Float[np.ndarray, "N C"]) -> Float32[np.ndarray, "N C"]:
-    """Return values in the type of glTF."""
     with np.errstate(over="ignore"):
         stored = np.ascontiguousarray(values, "<f4")
     if not np.isfinite(stored).all():

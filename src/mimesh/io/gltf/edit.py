@@ -318,7 +318,6 @@ def _add_attributes(
 
 
 def _copy_primitive(copier: AccessorCopier, primitive: dict[str, Any]) -> dict[str, Any]:
-    """Copy a primitive and its accessors into the draft, unchanged."""
     copied = _replace_attributes(copier, primitive, {}, dropped=())
     owners = primitive.get("targets", [])
     targets = [{name: copier.copy_accessor(index) for name, index in owner.items()} for owner in owners]

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
 from ...bodies.engine_names import SCHEMES, root_name
 from ...bodies.joint_names import ancestors
@@ -30,7 +30,7 @@ from ...core.geometry import nearest_rotation
 from ...core.mesh import check_cut
 from ...core.options import Layout
 from ...motions.bone_motion import TRUNK
-from ..timing import DEFAULT_FPS, frame_count
+from ..timing import DEFAULT_FPS
 from .animation import (
     PATH_WIDTHS,
     AnimatedValues,
@@ -107,8 +107,6 @@ class OwnAnimation:
     """Name of a bone on the floor above all joints; None: the file has those that it has."""
     root_moves: bool = False
     """Whether that bone carries the way over the ground."""
-    keys: Mapping[tuple[int, str], AnimationChannel] = field(default_factory=dict)
-    """Keys that are written as they are, of properties that `tracks` has the values of in every frame."""
 
     def with_layout(self, bones: Mapping[str, str], root_bone: str | None, root_moves: bool) -> OwnAnimation:
         """Rename the bones of a person, and add a root bone.
@@ -137,7 +135,7 @@ class OwnAnimation:
                 tracks[node, path] = normalized_quaternions(slerp(a, b, between))
             else:
                 tracks[node, path] = (1 - between) * a + between * b
-        return dataclasses.replace(self, tracks=tracks, fps=fps, frames=len(before), keys={})
+        return dataclasses.replace(self, tracks=tracks, fps=fps, frames=len(before))
 
     def moves(self, key: tuple[int, str]) -> bool:
         """Tell whether a node is anywhere else than in the file, beyond rounding."""
@@ -212,9 +210,6 @@ def cut_animation(source: GltfSource, animation: str | None, fps: float | None, 
         animation: its name or number; None: the first, with those that complement it.
         fps: frames a second; None: the rate that its keys lie on.
         frames: those that are taken.
-
-    Raises:
-        InputError: no such animation, or no frame is left.
     """
     document, names = source.document, animation_names(source.document)
     channels = select_channels(document, animation)
@@ -254,21 +249,13 @@ def write_own_pose(animation: OwnAnimation, path: Path) -> None:
 def _new_entries(animations: Sequence[OwnAnimation], tracks: Sequence[Tracks], draft: Draft) -> list[dict[str, Any]]:
     """Add new animations to the copy of a file: the keys of each for all that any of them moves, old and new."""
     document = animations[0].source.document
-    exact = []
-    for animation, values in zip(animations, tracks, strict=True):
-        # Keys are written as they are, but not where tracks have changed since, nor at another speed.
-        last = max((float(channel.times[-1]) for channel in animation.keys.values()), default=0.0)
-        same_speed = frame_count(last, animation.fps) == animation.frames
-        same = {key: keys for key, keys in animation.keys.items() if values.get(key) is animation.tracks.get(key)}
-        exact.append(same if same_speed else {})
-    used = dict.fromkeys(key for values in (*tracks, *exact) for key in values)
-    used |= dict.fromkeys(_animated_values(document))
+    used = dict.fromkeys([*(key for values in tracks for key in values), *_animated_values(document)])
     still = {key: node_value(draft.gltf["nodes"][key[0]], key, document) for key in used}
-    entries = []
-    for animation, values, keys in zip(animations, tracks, exact, strict=True) if used else ():
-        complete = {key: values.get(key, still[key]) for key in used}
-        entries.append(add_animation(draft, animation.name, _channels(animation, complete, keys)))
-    return entries
+    return [
+        add_animation(draft, animation.name, _channels(animation, {key: values.get(key, still[key]) for key in used}))
+        for animation, values in zip(animations, tracks, strict=True)
+        if used
+    ]
 
 
 def node_value(entry: dict[str, Any], key: tuple[int, str], document: Document) -> Float[np.ndarray, "1 C"]:
@@ -318,35 +305,25 @@ def _copied_file(animations: Sequence[OwnAnimation], root: RootBone | None = Non
     return draft
 
 
-def _channels(
-    animation: OwnAnimation, tracks: Tracks, exact: Mapping[tuple[int, str], AnimationChannel]
-) -> list[AnimationChannel]:
-    """Choose the keys of an animation, from which readers know its rate.
+def _channels(animation: OwnAnimation, tracks: Tracks) -> list[AnimationChannel]:
+    """Return the keys of an animation, in every frame or where nothing changes in the first one.
 
-    Unless copied keys show the rate, one track at least has a key in every frame.
+    One track at least has a key in every frame, from which readers know the rate.
     """
-    frames = {key: key_frames(animation.source, key, track) for key, track in tracks.items()}
-    start = min((keys.times[0] for keys in exact.values()), default=0.0)
-    shown = any(len(is_key) == animation.frames and is_key.all() for key, is_key in frames.items() if key not in exact)
-    copied = bool(exact) and (frame_rate(list(exact.values())) or DEFAULT_FPS) == animation.fps
-    if not (shown or copied):
-        first = next((key for key in tracks if key not in exact), next(iter(tracks)))
-        exact = {key: keys for key, keys in exact.items() if key != first}
+    counts = {key: key_count(animation.source, key, track) for key, track in tracks.items()}
+    if animation.frames not in counts.values():
+        first = next(iter(tracks))
         tracks = {**tracks, first: np.broadcast_to(tracks[first], (animation.frames, tracks[first].shape[1]))}
-        frames[first] = np.ones(animation.frames, bool)
-    channels = []
-    for key, track in tracks.items():
-        times = np.flatnonzero(frames[key]) / animation.fps
-        # A single key is where copied ones begin, so that it changes neither their length nor their rate.
-        times = times if len(times) > 1 else times + start
-        channels.append(exact[key] if key in exact else AnimationChannel(*key, times, track[frames[key]]))
-    return channels
+        counts[first] = animation.frames
+    return [
+        AnimationChannel(*key, np.arange(counts[key]) / animation.fps, track[: counts[key]])
+        for key, track in tracks.items()
+    ]
 
 
-def key_frames(source: GltfSource, key: tuple[int, str], values: Float[np.ndarray, "T C"]) -> Bool[np.ndarray, " T"]:
-    """Mark the frames of animated values that become keys: all of them, or the first where nothing changes."""
-    moves = np.abs(values - values[0]).max() > rounding(source, key, values)
-    return np.full(len(values), moves) | (np.arange(len(values)) == 0)
+def key_count(source: GltfSource, key: tuple[int, str], values: Float[np.ndarray, "T C"]) -> int:
+    """Count the keys of animated values: one for each frame, or one where nothing changes."""
+    return len(values) if np.abs(values - values[0]).max() > rounding(source, key, values) else 1
 
 
 def rounding(source: GltfSource, key: tuple[int, str], values: Float[np.ndarray, "T C"]) -> float:
@@ -566,7 +543,6 @@ def _world(source: GltfSource, node: int) -> Float[np.ndarray, "4 4"]:
 
 
 def _unit(transform: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3 3"]:
-    """Divide the axes of a transform by their mean length."""
     return transform[:3, :3] / max(float(np.linalg.norm(transform[:3, :3], axis=0).mean()), 1e-12)
 
 

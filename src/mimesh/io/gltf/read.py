@@ -356,11 +356,7 @@ def rig_on_nodes(
 
 
 def unweighted_parts(document: Document, rest: RestScene) -> tuple[str, ...]:
-    """List the parts of a skin that have no finite weights at all; they follow a joint (see `read_influences`).
-
-    Raises:
-        InputError: a large share of the vertices is without weights: a damaged skin.
-    """
+    """List the parts of a skin that have no finite weights at all; they follow a joint (see `read_influences`)."""
     total = sum(span.stop - span.start for span in rest.vertex_ranges)
     some, parts = 0, {}
     for span in rest.vertex_ranges:
@@ -385,9 +381,6 @@ def check_weights(bare: float, parts: float, path: object) -> None:
     Args:
         bare: share of vertices without weights, in parts of which others have some.
         parts: share of the vertices of parts that have none at all, such as a prop.
-
-    Raises:
-        InputError: it is larger: the skin is damaged.
     """
     if bare > UNSKINNED or parts > UNSKINNED_PARTS:
         raise InputError(

@@ -29,7 +29,7 @@ from ...core.printable import numbered
 from ..atomic import scratch_folder
 from ..mtl import write_image
 from ..polygons import polygon_corners, polygon_sizes, smooth_normals
-from .source import UsdSource
+from . import UsdSource
 
 # usd-core ships no types.
 # pyright: reportAttributeAccessIssue=false
