@@ -10,23 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .. import io
 from ..core.animated_rig import RigAnimation
 from ..core.errors import InputError, option
 from ..core.frame_buffer import PosedFrames, Progress
 from ..core.mesh import Clip, Mesh, RewritableSource, check_cut, cut_clip, stored_clip
 from ..core.normalization import clear_up, parse_axis
 from ..core.options import ConvertOptions
-from ..io import (
-    check_writable,
-    clip_suffixes,
-    joints_file,
-    list_animations,
-    load_driving,
-    load_mesh,
-    load_recorded_clip,
-    save_mesh,
-    save_whole,
-)
 from ..io.beside import missing_images, missing_images_notes
 from ..io.formats import CACHE, FORMATS, FRAMES_ONLY, JOINTED, MESH_WRITERS, MORPHED, MOTIONS
 from ..io.polygons import smooth_normals
@@ -98,12 +88,12 @@ def convert(
             f"{target}: expected a mesh or a clip to write, found {suffix}, which has bones alone; write it with "
             f"mimesh animate CHARACTER {source.name} -o {target.name}"
         )
-    holds_clip = suffix in (*clip_suffixes(), *MOVIES) or not suffix or target.is_dir()
+    holds_clip = suffix in (*io.clip_suffixes(), *MOVIES) or not suffix or target.is_dir()
     frames_as = None if options.frames_as is None else "." + options.frames_as.lstrip(".")
     if frames_as is not None and suffix and not target.is_dir():
         raise InputError(f"{target}: expected a folder with --frames-as, found '{target.suffix}'; leave it out")
     given = _check_options(options, target, holds_clip)
-    check_writable(target)
+    io.check_writable(target)
     if keeps_bones(source, target, options):
         kept = _with_bones(source, target, options, given)
         if kept is not None:
@@ -117,7 +107,7 @@ def convert(
     has_rest = source.is_file() and source.suffix.lower() not in FRAMES_ONLY and options.body_model is None
     if options.frame is None and not holds_clip and has_rest:
         _refuse_options(target, given, f"{suffix} files hold one mesh, at rest", " or choose a --frame")
-        mesh = _with_up(load_mesh(source), options.up, target)
+        mesh = _with_up(io.load_mesh(source), options.up, target)
         notes = _at_rest_note(mesh, source, target) + _bones_note(mesh, source, target)
         return _write_mesh(mesh, target, notes=notes)
     # Reading and writing are half of the progress each.
@@ -136,7 +126,7 @@ def convert(
         from ..motions.on_body import played_rig
 
         body = RigAnimation(clip.mesh.name, played_rig(clip), clip.fps)
-        with joints_file(target) as temporary:
+        with io.joints_file(target) as temporary:
             write_gltf_skinned([body], temporary)
         notes += (f"{target.name} is mimesh's own body on the bones of the motion; --morphs writes its surface alone",)
         return Converted(len(clip.mesh.vertices), len(clip), clip.fps, notes)
@@ -151,7 +141,7 @@ def convert(
         + rate_note(clip.fps, target)
     )
     if options.frame is None and options.animation is None:
-        notes += animations_note(list_animations(source), source)
+        notes += animations_note(io.list_animations(source), source)
     notes += missing_images_notes(missing_images(clip.mesh))
     return Converted(len(clip.mesh.vertices), len(clip), clip.fps, notes)
 
@@ -210,9 +200,9 @@ def read_clip(
         betas: see `load_recorded_clip`.
     """
     if body_model is None:
-        clip = load_driving(path, fps=fps, animation=animation, progress=progress, frames=frames)
+        clip = io.load_driving(path, fps=fps, animation=animation, progress=progress, frames=frames)
         return clip, clip.notes
-    clip, notes = load_recorded_clip(path, body_model, fps=fps, animation=animation, progress=progress, betas=betas)
+    clip, notes = io.load_recorded_clip(path, body_model, fps=fps, animation=animation, progress=progress, betas=betas)
     return cut_clip(clip, frames.start or 0, frames.stop, 1 if frames.step is None else frames.step), notes
 
 
@@ -263,7 +253,7 @@ def choose_clips(driving: Sequence[Path], selectors: Sequence[str] | None) -> li
 
 def _clips_of(path: Path, selector: str | None) -> Iterator[DrivingClip]:
     """Yield the clips of a file that one value of `--animation` chooses."""
-    names = list_animations(path)
+    names = io.list_animations(path)
     if not names:  # reading the file refuses a selector
         yield DrivingClip(path, None if selector == ALL else selector, file_stem(path))
     elif selector is None:
@@ -322,7 +312,7 @@ def read_driving(
     notes += taken_rate_note(clip, path) if fps is None else ()
     if frames.start == 0:
         # The capture is kept in memory: nothing is read again.
-        first = load_driving(path, fps=fps, frames=slice(0, LONE_FRAMES)) if early else clip
+        first = io.load_driving(path, fps=fps, frames=slice(0, LONE_FRAMES)) if early else clip
         notes += first_frame_note(first, 0, path.name)
     early = early or (isinstance(clip.skeleton, ScannedJoints) and not whole)
     check_cut(clip.mesh.name, len(clip), slice(None) if early else frames)
@@ -346,14 +336,14 @@ def _with_bones(source: Path, target: Path, options: ConvertOptions, given: list
 
     None where there are no frames to choose, because the file does not move.
     """
-    mesh = load_mesh(source)
+    mesh = io.load_mesh(source)
     names, count = getattr(mesh.source, "animations", ()), len(mesh.vertices)
     notes = missing_images_notes(missing_images(mesh))
     if not names and given:
         return None
     if set(given) <= {"--animation"} or mesh.source is None:  # without a source it is a motion of joints alone
         _refuse_options(target, given if mesh.source is None else [], "joints without a mesh are written as they are")
-        save_whole(source, target, options.animation)
+        io.save_whole(source, target, options.animation)
         kept = f"{target.name} has the animations {', '.join(names)}"
         return Converted(count, 1, None, notes + ((kept,) if len(names) > 1 and options.animation is None else ()))
     from ..io.gltf.edit import GltfSource
@@ -361,7 +351,7 @@ def _with_bones(source: Path, target: Path, options: ConvertOptions, given: list
 
     assert isinstance(mesh.source, GltfSource)
     cut = cut_animation(mesh.source, options.animation, options.fps, options.slice)
-    with joints_file(target) as temporary:
+    with io.joints_file(target) as temporary:
         write_own_animations([cut], temporary)
     notes += animations_note(names, source) if options.animation is None else ()
     return Converted(count, cut.frames, cut.fps, notes)
@@ -592,7 +582,7 @@ def taken_pose_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
 
 
 def _write_mesh(mesh: Mesh, target: Path, frames: int = 1, notes: tuple[str, ...] = ()) -> Converted:
-    save_mesh(mesh, target)
+    io.save_mesh(mesh, target)
     notes += not_kept(mesh, target) + _lying_note(mesh, target)
     if frames > 1:
         notes += (f"{target.suffix} files hold one mesh: {target.name} is the first of {frames} frames",)

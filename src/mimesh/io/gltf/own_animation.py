@@ -31,6 +31,7 @@ from ...core.mesh import check_cut
 from ...core.options import Layout
 from ...motions.bone_motion import TRUNK
 from ..timing import DEFAULT_FPS
+from . import scene
 from .animation import (
     PATH_WIDTHS,
     AnimatedValues,
@@ -53,18 +54,6 @@ from .draft import AccessorCopier, Draft
 from .edit import GltfSource
 from .own_rig import OwnRig
 from .read import get_primitive
-from .scene import (
-    DEFAULT_TRS,
-    joint_matrices,
-    node_parents,
-    node_properties,
-    normalized_quaternions,
-    read_inverse_bind_matrices,
-    read_morph_weights,
-    read_skin_binding,
-    target_count,
-    unbound_joints,
-)
 from .vrm import json_object, vrm_version
 
 ROOT_NAME = re.compile(r"(.*[:|])?root", re.IGNORECASE)
@@ -85,7 +74,7 @@ of a scale, relative, because scales that are computed from matrices in float32 
 lengths (measured on a file of Kenney's)."""
 Tracks = Mapping[tuple[int, str], Float[np.ndarray, "_ _"]]
 """Values by (node, target path): in every frame, or in one of what does not move."""
-BARE = {"name", "children", "matrix", *DEFAULT_TRS, "extras"}
+BARE = {"name", "children", "matrix", *scene.DEFAULT_TRS, "extras"}
 """Properties of nodes that show nothing."""
 
 
@@ -132,7 +121,7 @@ class OwnAnimation:
         for (node, path), values in self.tracks.items():
             a, b = values[before], values[after]
             if path == "rotation":
-                tracks[node, path] = normalized_quaternions(slerp(a, b, between))
+                tracks[node, path] = scene.normalized_quaternions(slerp(a, b, between))
             else:
                 tracks[node, path] = (1 - between) * a + between * b
         return dataclasses.replace(self, tracks=tracks, fps=fps, frames=len(before))
@@ -267,7 +256,7 @@ def node_value(entry: dict[str, Any], key: tuple[int, str], document: Document) 
         document: the file that has the morph targets.
     """
     node, path = key
-    value = read_morph_weights(document, node) if path == "weights" else node_properties(entry)[path]
+    value = scene.read_morph_weights(document, node) if path == "weights" else scene.node_properties(entry)[path]
     return np.array(value, float)[None]
 
 
@@ -288,7 +277,7 @@ def _copied_file(animations: Sequence[OwnAnimation], root: RootBone | None = Non
             renamed[root.node] = root.name
     for node in moving:
         if "matrix" in nodes[node]:
-            properties = {key: value.tolist() for key, value in node_properties(nodes[node]).items()}
+            properties = {key: value.tolist() for key, value in scene.node_properties(nodes[node]).items()}
             nodes[node] = {key: value for key, value in nodes[node].items() if key != "matrix"} | properties
     taken = set(renamed.values()) | ({root.name} if root is not None and root.is_new else set())
     for number, node in enumerate(nodes):
@@ -298,8 +287,8 @@ def _copied_file(animations: Sequence[OwnAnimation], root: RootBone | None = Non
             node["name"] = f"{node['name']} (of the file)"
     document = first.source.document
     for number, skin in enumerate(draft.gltf.get("skins", [])):
-        if unbound_joints(document, number):
-            skin["inverseBindMatrices"] = draft.add_matrices(read_inverse_bind_matrices(document, number))
+        if scene.unbound_joints(document, number):
+            skin["inverseBindMatrices"] = draft.add_matrices(scene.read_inverse_bind_matrices(document, number))
     if root is not None and root.is_new:
         root.insert(draft)
     return draft
@@ -333,7 +322,7 @@ def rounding(source: GltfSource, key: tuple[int, str], values: Float[np.ndarray,
         return SCALE_ROUNDING * float(np.abs(values).max())
     unit = {"rotation": 1.0, "weights": 1.0}.get(path, 0.0)
     if path == "translation" and node < len(source.rest.T_world_node):
-        above = _world(source, node_parents(source.document)[node])[:3, :3]
+        above = _world(source, scene.node_parents(source.document)[node])[:3, :3]
         unit = float(np.ptp(source.vertices, axis=0).max() / max(np.linalg.norm(above, axis=0).max(), 1e-12))
     return ROUNDING * max(float(np.abs(values).max()), unit)
 
@@ -347,7 +336,7 @@ def _animated_values(document: Document) -> list[tuple[int, str]]:
             target = json_object(channel, "target")
             node, path = target.get("node"), str(target.get("path"))
             if path in PATH_WIDTHS and type(node) is int and 0 <= node < count:
-                found += [(node, path)] if path != "weights" or target_count(document, node) else []
+                found += [(node, path)] if path != "weights" or scene.target_count(document, node) else []
     return found
 
 
@@ -400,12 +389,12 @@ class RootBone:
                 entry["matrix"] = (T_root_parent @ np.reshape(entry["matrix"], (4, 4)).T).T.ravel().tolist()
                 continue
             for path in ("translation", "rotation"):
-                moved = _in_frame(np.array([entry.get(path, DEFAULT_TRS[path])], float), path, T_root_parent)[0]
-                if path in entry or not np.array_equal(moved, DEFAULT_TRS[path]):
+                moved = _in_frame(np.array([entry.get(path, scene.DEFAULT_TRS[path])], float), path, T_root_parent)[0]
+                if path in entry or not np.array_equal(moved, scene.DEFAULT_TRS[path]):
                     entry[path] = moved.tolist()
         for number, animation in enumerate(gltf.get("animations", [])):
             self._move_keys(draft, animation, number)
-        parents = tuple(node_parents(self.source.document))
+        parents = tuple(scene.node_parents(self.source.document))
         for number, skin in enumerate(gltf.get("skins", [])):
             if any(set(ancestors(parents, joint)).intersection(self.children) for joint in skin["joints"]):
                 self._add_to_skin(draft, skin, number, parents)
@@ -429,7 +418,7 @@ class RootBone:
         way = (hips - hips[0]) * [1.0, 0.0, 1.0]
         moved = dict(tracks)
         for node, into_parent in self.staying.items():
-            still = np.array(draft.gltf["nodes"][node].get("translation", DEFAULT_TRS["translation"]), float)
+            still = np.array(draft.gltf["nodes"][node].get("translation", scene.DEFAULT_TRS["translation"]), float)
             moved[node, "translation"] = moved.get((node, "translation"), still) - way @ into_parent.T
         into_parent = np.linalg.inv(_world(self.source, self.parent)[:3, :3])
         moved[self.node, "translation"] = self.T_parent_root[:3, 3] + way @ into_parent.T
@@ -466,9 +455,9 @@ class RootBone:
         document, joints = self.source.document, skin["joints"]
         # Nodes may have another pose than the skin was bound in: the bone is placed relative to the topmost joint.
         depth = [len(ancestors(parents, joint)) for joint in joints]
-        T_world_bind = joint_matrices(document, number, self.source.rest.T_world_node)[int(np.argmin(depth))]
+        T_world_bind = scene.joint_matrices(document, number, self.source.rest.T_world_node)[int(np.argmin(depth))]
         own = np.linalg.inv(self.T_world_root) @ T_world_bind
-        inverse_bind = np.concatenate([read_inverse_bind_matrices(document, number), own[None]])
+        inverse_bind = np.concatenate([scene.read_inverse_bind_matrices(document, number), own[None]])
         skin |= {"joints": [*joints, self.node], "inverseBindMatrices": draft.add_matrices(inverse_bind)}
         # It has to be above all joints (glTF 2.0, 5.28.2 skin.skeleton).
         if "skeleton" in skin and skin["skeleton"] not in ancestors(parents, self.parent):
@@ -482,13 +471,13 @@ def _place_root_bone(animations: Sequence[OwnAnimation]) -> RootBone | None:
         return None
     moving = {key[0] for animation in animations for key in animation.tracks if animation.moves(key)}
     document, world = source.document, source.rest.T_world_node
-    parents = node_parents(document)
+    parents = scene.node_parents(document)
     skins = [set(skin["joints"]) for skin in document.gltf.get("skins", [])]
     joints = set(person.values()).union(*(skin for skin in skins if skin.intersection(person.values())))
     weighted: set[int] = set()  # joints with a vertex that has a weight for them
     for span in source.rest.vertex_ranges:
         for number in span.primitives:
-            binding = read_skin_binding(document, span.node, get_primitive(document, (span.node, number)))
+            binding = scene.read_skin_binding(document, span.node, get_primitive(document, (span.node, number)))
             if binding is not None:
                 weighted |= set(binding.nodes[binding.joints[binding.weights > 0]].tolist())
     size = np.ptp(source.vertices, axis=0).max()
