@@ -66,7 +66,7 @@ def rig(
     from ..pipeline.vrm import vrm_meta, written_skeleton
     from ..tools.convert import not_kept
     from ..tools.preview import names_beside, rig_picture, save_picture, written_beside
-    from .clips import check_suffix
+    from .move import check_suffix
 
     target = output_path(output.output, lambda: file.with_name(f"{file.stem}-rigged.glb"))
     picture = names_beside(target)[0] if output.preview else None
@@ -127,7 +127,7 @@ def capture(
     from ..pipeline.capturing import capture as capture_joints
     from ..pipeline.read import load_moving
     from ..tools.convert import frames_at
-    from .clips import check_suffix
+    from .move import check_suffix
 
     target = output_path(output.output, lambda: clip.with_name(f"{clip.stem if clip.is_file() else clip.name}.bvh"))
     refuse_inputs(target, clip)

@@ -21,8 +21,8 @@ from typing import Any
 import typer
 
 from ..commands import move
-from ..commands.clips import check_clip_output, check_suffix
 from ..commands.joints import capture, rig
+from ..commands.move import check_clip_output, check_suffix
 from ..commands.options import ShapeOptions, options_of
 from ..commands.terminal import SEPARATORS, output_path, refuse_inputs
 from ..core.arguments import described

@@ -18,7 +18,7 @@ from jaxtyping import Bool, Float, Int
 from ..core.animated_rig import AnimatedRig
 from ..core.errors import InputError, option
 from ..core.frame_buffer import LazyFrames, Progress
-from ..core.geometry import edges, face_areas, links, weld
+from ..core.geometry import component_labels, edges, face_areas, weld
 from ..core.mesh import Clip, Mesh, chosen_faces
 from ..core.normalization import flat_side, opposite
 from ..core.options import MotionOptions
@@ -185,11 +185,9 @@ def _without_base(mesh: Mesh, asked: str) -> MeshPart | None:
     side, lying = flat_side(mesh)
     if side is None or mesh.up not in (None, opposite(side)):
         return None
-    from scipy.sparse.csgraph import connected_components
-
     merged, position = weld(mesh.vertices)
     faces = position[mesh.faces]
-    component = connected_components(links(edges(faces), len(merged)), directed=False)[1][faces[:, 0]]
+    component = component_labels(edges(faces), len(merged))[faces[:, 0]]
     area = face_areas(mesh.vertices, mesh.faces)
     flat = np.bincount(component[lying], area[lying], component.max() + 1) / np.bincount(component, area).clip(1e-30)
     base = flat[component] > BASE_FLAT  # soles on a floor may be in its side, too

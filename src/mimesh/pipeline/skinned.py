@@ -18,7 +18,7 @@ from ..core.arguments import described, public
 from ..core.errors import InputError, option
 from ..core.frame_buffer import evenly_spread
 from ..core.options import Layout, needs_joints
-from ..core.printable import file_name
+from ..core.printable import file_name, numbered
 from ..core.rig import Rig, descendants
 from ..io import joints_file
 from ..io.gltf.own_animation import laid_out, write_own_animations
@@ -27,7 +27,6 @@ from .report import Deviations, SavedClip, saved_clip
 from .vrm import save_bone_motions
 
 if TYPE_CHECKING:
-    from ..io.gltf.document import Document
     from .result import ClipResult
 
 AS_IT_IS = Layout()
@@ -153,15 +152,12 @@ def _check_same_rig(results: Sequence[ClipResult], names: Sequence[str]) -> None
         )
     first, *others = [result.own.source.document for result in results if result.own is not None]
     for name, document in zip(names[1:], others, strict=True):
-        if not _same_file(first, document):
+        same = first.gltf == document.gltf and bytes(first.binary) == bytes(document.binary)
+        if first is not document and not same:
             raise InputError(
                 f"{name}: expected results of one identity, found {first.path} and {document.path}; "
                 "write a file for each identity"
             )
-
-
-def _same_file(first: Document, other: Document) -> bool:
-    return first is other or (first.gltf == other.gltf and bytes(first.binary) == bytes(other.binary))
 
 
 def _save_on_own_rig(
@@ -193,10 +189,8 @@ def distinct_names(names: Sequence[str]) -> list[str]:
     """Number names that were there before, as files are named on any system: walk, walk-2, Walk-3."""
     distinct: dict[str, str] = {}
     for name in names:
-        number, candidate = 2, name
-        while (file := file_name(candidate).casefold()) in distinct:
-            candidate, number = f"{name}-{number}", number + 1
-        distinct[file] = candidate
+        free = next(other for other in numbered(name) if file_name(other).casefold() not in distinct)
+        distinct[file_name(free).casefold()] = free
     return list(distinct.values())
 
 

@@ -14,6 +14,7 @@ from ..core.animated_rig import INFLUENCES
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.options import Layout
+from ..core.printable import numbered
 from ..io import check_writable, save_mesh
 from ..io.atomic import whole_file
 from ..io.formats import CLIP_WRITERS, FORMATS, FRAME_SUFFIXES, JOINTED, MESH_WRITERS
@@ -111,7 +112,8 @@ def write(export: Export, items: Sequence[Item], driving: Item | None, options: 
     # Written to a folder first: how many files a format makes depends on the mesh (textures, frames).
     files_folder, notes, used = export.folder / "files", [], set()
     for k, (name, write_part) in enumerate(parts):
-        stem = _unused(safe_name(name), used)
+        stem = next(free for free in numbered(safe_name(name)) if free not in used)
+        used.add(stem)
         notes += write_part(files_folder / stem, part(progress, k, len(parts)) or progress)
     export.notes = tuple(dict.fromkeys(notes))
     files = sorted(path for path in files_folder.rglob("*") if path.is_file())
@@ -218,13 +220,6 @@ def _lacking(suffix: str) -> str:
     except InputError:
         return "Blender"
     return ""
-
-
-def _unused(stem: str, used: set[str]) -> str:
-    """Return a stem that is not in `used`, with a number if needed, and add it there."""
-    name = next(name for k in range(len(used) + 1) if (name := stem if k == 0 else f"{stem}-{k + 1}") not in used)
-    used.add(name)
-    return name
 
 
 def _zip(files: list[Path], top: Path, path: Path) -> Path:

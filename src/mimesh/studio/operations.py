@@ -26,7 +26,6 @@ from ..io.beside import confined
 from ..io.gltf.animation import animation_names
 from ..io.gltf.own_rig import GltfJoints
 from ..io.joint_file import describe_corrections, load_corrections, side_file
-from ..methods.base import Method
 from ..methods.find import find_mime, find_model
 from ..mime.model import Mime
 from ..motions.animal_clips import ANIMAL_MOTIONS, animal_clip
@@ -97,7 +96,9 @@ def prepare_inputs(identity: Item, driving: Item, options: Options) -> Route | P
     assert isinstance(driving.content, Clip)
     model = find_model(options.model)
     rig, body = options.kind(model)
-    corrections = Corrections() if body == OTHER else applicable_corrections(model, identity, driving)
+    corrections = Corrections()
+    if body != OTHER and isinstance(model, Mime):
+        corrections = Corrections.read(identity.corrections, driving.corrections, driving.content)
     parts = identity.part, driving.part
     known = Known((*identity.axes, *driving.axes), rig, body, corrections, parts)
     return find_route(identity.content, driving.content, model, known, options.motion(model))
@@ -180,13 +181,6 @@ def parse_positions(item: Item, positions: Any) -> JointCorrections | None:
     corrections = JointCorrections.of(positions, "joints", frame=frame)
     check_corrections(item, corrections)
     return corrections if corrections.positions else None
-
-
-def applicable_corrections(model: Mime | Method, identity: Item, driving: Item) -> Corrections:
-    """Return the corrections of both items if the model can use them, else none."""
-    if not isinstance(model, Mime) or not isinstance(driving.content, Clip):
-        return Corrections()
-    return Corrections.read(identity.corrections, driving.corrections, driving.content)
 
 
 def describe_joints(route: Route | PartRoute, identity: Item, driving: Item) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from jaxtyping import Float, Int
 
 from ..core.errors import InputError
 from ..core.frame_buffer import each_frame, store_frames
-from ..core.geometry import distinct_rows, weld
+from ..core.geometry import component_labels, distinct_rows, weld
 from ..core.mesh import Clip, Mesh, Part, cut_clip, stored_clip
 from ..core.surface_clusters import clusters
 from . import camera
@@ -225,8 +225,7 @@ def _same_surface(a: Mesh, b: Mesh) -> bool:
     """Whether two meshes can share a surface. Values of normals are not compared: posing a mesh rotates them."""
     same_materials = a.parts == b.parts and a.vertex_colors is b.vertex_colors and a.corner_uv is b.corner_uv
     same_normals = (a.corner_normals is None) == (b.corner_normals is None)
-    same_faces = a.faces is b.faces or np.array_equal(a.faces, b.faces)
-    return len(a.vertices) == len(b.vertices) and same_materials and same_normals and same_faces
+    return same_materials and same_normals and _same_faces(a, b)
 
 
 def _pack_surface(mesh: Mesh, split: SplitMesh, textures: TextureStore) -> dict[str, Any]:
@@ -339,9 +338,6 @@ def smoothing_groups(mesh: Mesh, normals: Float[np.ndarray, "F 3 3"]) -> Int[np.
     vertex indices, are compared, so that files with split vertices are smooth, too. Groups are the connected components
     of a graph of corners: half-edges are sorted by their end positions, which puts the two of an edge side by side.
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     position = weld(mesh.vertices)[1][mesh.faces]
     corner = np.arange(position.size).reshape(-1, 3)
     start, stop = position.ravel(), np.roll(position, -1, axis=1).ravel()
@@ -358,10 +354,7 @@ def smoothing_groups(mesh: Mesh, normals: Float[np.ndarray, "F 3 3"]) -> Int[np.
     b = np.concatenate([low[1:][same], high[1:][same]])
     flat_normals = normals.reshape(-1, 3)
     similar = np.einsum("nk,nk->n", flat_normals[a], flat_normals[b]) > SMOOTH_COSINE
-    a, b = a[similar], b[similar]
-    size = position.size
-    groups = connected_components(coo_array((np.ones(len(a), bool), (a, b)), shape=(size, size)), directed=False)[1]
-    return groups.reshape(-1, 3)
+    return component_labels(np.stack([a, b], axis=1)[similar], position.size).reshape(-1, 3)
 
 
 def _number_pairs(first: np.ndarray, second: np.ndarray) -> np.ndarray:
