@@ -36,7 +36,7 @@ from .file_rigs import Rigs, heading_note, read_rigs
 from .known import Corrections, Known
 from .refine import Refinement
 from .report import TransferReport, fingered_hands, torn_note
-from .result import Timer
+from .result import Precision, Timer
 
 if TYPE_CHECKING:
     from ..io.gltf.own_animation import OwnAnimation
@@ -86,11 +86,7 @@ class JointRoute(placed.Placed):
         return placed.FoundJoints(body_of_joints(motion.joints), mine, theirs)
 
     def play(
-        self,
-        timer: Timer,
-        options: MotionOptions,
-        progress: Progress | None = None,
-        dtype: type[np.floating] = np.float64,
+        self, timer: Timer, options: MotionOptions, progress: Progress | None = None, dtype: Precision = np.float64
     ) -> placed.Moved:
         """Move the joints in all frames, and report."""
         identity, clip = self.identity, self.clip

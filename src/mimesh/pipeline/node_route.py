@@ -30,7 +30,7 @@ from .known import Axes, Known
 from .look import KINDS, OTHER, finds_joints, joint_finder, looks_like
 from .placed import Moved, first_frame, surface_report
 from .report import MatchReport, TransferReport, facing, torn_note
-from .result import Timer
+from .result import Precision, Timer
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,11 +57,7 @@ class NodeRoute:
         """Return the joints of both meshes: none that have roles."""
 
     def play(
-        self,
-        timer: Timer,
-        options: MotionOptions,
-        progress: Progress | None = None,
-        dtype: type[np.floating] = np.float64,
+        self, timer: Timer, options: MotionOptions, progress: Progress | None = None, dtype: Precision = np.float64
     ) -> Moved:
         """Animate the nodes of the identity's file, and report; nothing is planted."""
         identity, clip = self.identity, self.clip

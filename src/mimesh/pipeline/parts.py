@@ -25,7 +25,7 @@ from ..core.options import MotionOptions
 from ..core.printable import listed
 from ..io.formats import may_have_joints
 from .placed import FoundJoints, Moved
-from .result import Timer
+from .result import Precision, Timer
 
 if TYPE_CHECKING:
     from ..io.gltf.edit import GltfSource
@@ -120,11 +120,7 @@ class PartRoute:
         return self.route.joints(t)
 
     def play(
-        self,
-        timer: Timer,
-        options: MotionOptions,
-        progress: Progress | None = None,
-        dtype: type[np.floating] = np.float64,
+        self, timer: Timer, options: MotionOptions, progress: Progress | None = None, dtype: Precision = np.float64
     ) -> Moved:
         """Move the part in all frames, and report."""
         moved = self.route.play(timer, options, progress, dtype)

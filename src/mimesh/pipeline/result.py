@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from ..view.pack import MotionLimits, Panel
     from ..view.page import Download
 
+Precision = type[np.floating]
+"""Type of the vertices of a result."""
 LARGEST_DOWNLOAD = 8 * 2**20
 """Bytes up to which a page contains the file for download; to larger files it links."""
 

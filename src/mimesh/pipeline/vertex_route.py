@@ -31,7 +31,7 @@ from .look import check_known_body, normalised, trained_on_people, turned_as_ani
 from .placed import SOLE_ERROR, Moved, Placed, first_frame, keyframes_of, surface_report, with_up
 from .refine import Refinement
 from .report import MeshReport, ReferenceReport, TransferReport, facing, torn_note
-from .result import Timer
+from .result import Precision, Timer
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,11 +94,7 @@ class VertexRoute(Placed):
         """Return the joints of both meshes: there are none."""
 
     def play(
-        self,
-        timer: Timer,
-        options: MotionOptions,
-        progress: Progress | None = None,
-        dtype: type[np.floating] = np.float64,
+        self, timer: Timer, options: MotionOptions, progress: Progress | None = None, dtype: Precision = np.float64
     ) -> Moved:
         """Make all frames, and report."""
         identity, clip = self.identity, self.clip
