@@ -298,10 +298,7 @@ def _read_body(elements: list[_Element], body: np.ndarray, path: Path) -> _Colum
             found = _read_uniform(element, body, start) if element.length and element.properties else None
             found = found or _read_rows(element, body, start)
         if found is None:
-            raise InputError(
-                f"{path}: expected {element.length} rows of element '{element.name}', found the file cut short; "
-                "export it again"
-            )
+            raise damaged(path, f"{element.length} rows of element '{element.name}'", "the file cut short")
         values, start = found
         columns[element.name] = {p.name: column for p, column in zip(element.properties, values, strict=True)}
     return columns

@@ -260,7 +260,7 @@ def _known(hints: Hints, model: Model, clip: Clip, whole: Clip | None = None) ->
 def _markers(markers: ArrayLike | str | Path) -> Int[np.ndarray, "M 2"]:
     """Read pairs of vertices that correspond, or check those in memory."""
     if isinstance(markers, (str, Path)):
-        from ..io.markers import load_markers
+        from ..io.text import load_markers
 
         return load_markers(Path(markers))
     try:

@@ -99,7 +99,11 @@ class JointRoute(placed.Placed):
             track, notes = measured.smoothed(options.smooth), ()
             if options.ground:
                 standing = retarget.standing(track)
-                notes = () if standing is track else (no_path_note(clip.mesh.name),)
+                if standing is not track:
+                    notes = (
+                        f"{clip.mesh.name} does not move its hips from their place: the lowest sole stands on the "
+                        f"floor in every frame; {option('ground', False)} leaves the hips at one height",
+                    )
                 track = standing
             across = self.norms[1].radius / self.norms[0].radius if options.root == "keep" else None
             posed = retarget.posed_joints(track, across, options.root == "drop", options.ground, options.contacts)
@@ -223,14 +227,6 @@ class FoundMotion:
     rigs: Rigs
     """The driving's joints."""
     network: Mime
-
-
-def no_path_note(name: str) -> str:
-    """Tell what is done with a driving that has no path of the hips."""
-    return (
-        f"{name} does not move its hips from their place: the lowest sole stands on the floor in every frame; "
-        f"{option('ground', False)} leaves the hips at one height"
-    )
 
 
 def report_confidence(retarget: Retarget, report: dict[str, Any], names: tuple[str, str]) -> tuple[str, ...]:

@@ -67,17 +67,10 @@ def make_server(session: Session, token: str, host: str, port: int) -> uvicorn.S
     def is_closing() -> bool:
         return server.should_exit
 
-    server = quiet_server(AccessControl(make_app(session, is_closing), token, host, port))
+    app = AccessControl(make_app(session, is_closing), token, host, port)
+    quiet = {"log_level": "error", "access_log": False, "server_header": False}
+    server = uvicorn.Server(uvicorn.Config(app, timeout_graceful_shutdown=SHUTDOWN_SECONDS, **quiet))
     return server
-
-
-def quiet_server(app: AccessControl) -> uvicorn.Server:
-    """Build a web server that logs errors only."""
-    return uvicorn.Server(
-        uvicorn.Config(
-            app, log_level="error", access_log=False, server_header=False, timeout_graceful_shutdown=SHUTDOWN_SECONDS
-        )
-    )
 
 
 def make_session(files: list[Path], limit: int, model: str = "mime") -> Session:

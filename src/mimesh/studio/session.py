@@ -309,7 +309,10 @@ class Session:
         def work(progress: Progress) -> ClipResult:
             def report(done: int, total: int) -> None:
                 progress(done, total)
-                self._report_progress(outcome, done / total)
+                # In steps of a percent: each change wakes up all pages.
+                if done / total - outcome.progress >= 0.01 or done == total:
+                    outcome.progress = done / total
+                    self.changed()
 
             route, clip = self._prepare(item)
             return operations.compute_result(route, clip, options, report)
@@ -325,12 +328,6 @@ class Session:
         else:
             outcome.error, outcome.result = self.page_error(error), None
         outcome.version = outcome.result_version = self.changed()
-
-    def _report_progress(self, outcome: Outcome, progress: float) -> None:
-        """Store the progress in steps of a percent: each change wakes up all pages."""
-        if progress - outcome.progress >= 0.01 or progress == 1.0:
-            outcome.progress = progress
-            self.changed()
 
     def _prepare(self, item: Item) -> tuple[Route | PartRoute, Clip]:
         """Return a mesh and the driving clip as the model prepared them, from the cache if the inputs are the same.

@@ -119,7 +119,11 @@ def convert(
         shape = parse_betas(options.betas)
     read = options.body_model, options.fps, options.animation, part(progress, 0, 2), chosen, shape
     clip, notes = read_clip(source, *read)
-    clip = clip if options.frame is None else _single_frame(clip, options.frame, source)
+    if options.frame is not None:
+        frame = options.frame  # negative numbers count from the end
+        if not -len(clip) <= frame < len(clip):
+            raise InputError(f"{source}: expected --frame below its {len(clip)} frames, found {frame}; change it")
+        clip = cut_clip(clip, frame, frame + 1 or None, 1)  # up to -1 + 1 = 0 would be nothing
     clip = dataclasses.replace(clip, mesh=_with_up(clip.mesh, options.up, target))
     if suffix in JOINTED and isinstance(clip.vertices, PosedFrames) and not frames_are_asked(options):
         from ..io.gltf.skinned import write_gltf_skinned
@@ -375,13 +379,6 @@ def _bones_note(mesh: Mesh, source: Path, target: Path) -> tuple[str, ...]:
         keeps = f"mimesh convert {source.name} {kept} keeps them" if kept != source.name else f"{kept} keeps them"
         keeps += f", mimesh capture {source.name} writes the motion of bones" * bool(skins and animations)
     return (f"left out of {target.name}: {' and '.join(lost)}; {keeps}",)
-
-
-def _single_frame(clip: Clip, frame: int, source: Path) -> Clip:
-    """Cut a clip to one frame; negative numbers count from the end."""
-    if not -len(clip) <= frame < len(clip):
-        raise InputError(f"{source}: expected --frame below its {len(clip)} frames, found {frame}; change it")
-    return cut_clip(clip, frame, frame + 1 or None, 1)  # up to -1 + 1 = 0 would be nothing
 
 
 def skinned_note(report: Mapping[str, Any]) -> tuple[str, ...]:

@@ -67,16 +67,12 @@ def check_options(options: RenderOptions, output: Path) -> None:
     if (options.sheet or options.strip) and suffix not in PICTURES:
         raise InputError(f"{output}: expected a picture (.png or .jpg) for {kinds[0]}, found '{suffix}'; rename it")
     if suffix == PAGE:
-        _check_page(options, output)
+        for field in dataclasses.fields(options):
+            if field.name in NOT_FOR_PAGES and getattr(options, field.name) != field.default:
+                option = "--no-labels" if field.name == "labels" else f"--{field.name}"
+                raise InputError(f"{output}: expected no {option} with a page, found it; leave it out")
     elif background_of(options.background) is None and suffix != ".png":
         raise InputError(f"{output}: expected a .png for --background none, found '{suffix}'; rename it")
-
-
-def _check_page(options: RenderOptions, output: Path) -> None:
-    for field in dataclasses.fields(options):
-        if field.name in NOT_FOR_PAGES and getattr(options, field.name) != field.default:
-            option = "--no-labels" if field.name == "labels" else f"--{field.name}"
-            raise InputError(f"{output}: expected no {option} with a page, found it; leave it out")
 
 
 def _flags(options: RenderOptions) -> list[str]:

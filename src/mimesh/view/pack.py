@@ -22,6 +22,7 @@ from ..core.frame_buffer import each_frame, store_frames
 from ..core.geometry import component_labels, distinct_rows, weld
 from ..core.mesh import Clip, Mesh, Part, cut_clip, stored_clip
 from ..core.surface_clusters import clusters
+from ..io.mtl import image_type
 from . import camera
 from .encoding import Quantization, encode_frames, estimate_size, fit_quantization, pack_array, to_base64
 from .textures import creased_normals, decode_image
@@ -403,16 +404,12 @@ class TextureStore:
             contents[largest] = smaller
         if contents != self._contents:
             left_out.append("textures are shown smaller than they are, to keep this page small")
-        return [{"type": _media_type(content), "data": to_base64(content)} for content in contents]
+        return [{"type": image_type(content) or "image/jpeg", "data": to_base64(content)} for content in contents]
 
 
 @functools.lru_cache(maxsize=16)  # the studio packs the same textures for every result
 def _readable(content: bytes) -> bool:
     return decode_image(content) is not None
-
-
-def _media_type(content: bytes) -> str:
-    return "image/png" if content.startswith(b"\x89PNG") else "image/jpeg"
 
 
 def _halve(content: bytes) -> bytes:

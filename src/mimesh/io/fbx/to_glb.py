@@ -32,9 +32,9 @@ from ...core.geometry import continuous_quaternions
 from ..beside import is_there
 from ..gltf.animation import AnimationChannel, add_animation
 from ..gltf.check import ARRAY_BUFFER
-from ..gltf.document import image_type
 from ..gltf.draft import PER_SET, Draft, NumberTooLarge, accessor_bounds
 from ..gltf.scene import DEFAULT_TRS
+from ..mtl import image_type
 from ..polygons import fan_corners
 from ..timing import DEFAULT_FPS, HIGHEST_FPS, LONGEST, frame_count
 

@@ -275,11 +275,6 @@ def list_primitives(gltf: dict[str, Any]) -> list[dict[str, Any]]:
     return [primitive for mesh in gltf.get("meshes", []) for primitive in mesh["primitives"]]
 
 
-def attribute_accessors(primitive: dict[str, Any]) -> list[int]:
-    """List the accessors of a primitive's attributes, and of those of its morph targets."""
-    return [index for owner in (primitive["attributes"], *primitive.get("targets", [])) for index in owner.values()]
-
-
 def _check_primitive(gltf: dict[str, Any], primitive: dict[str, Any], path: Path) -> None:
     """Check the types of a primitive's attributes, morph targets and indices, and that attributes have one count."""
     attributes, accessors = primitive["attributes"], gltf.get("accessors", [])

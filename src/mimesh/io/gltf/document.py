@@ -35,14 +35,13 @@ from ..atomic import scratch_folder
 from ..beside import find_beside
 from ..child_process import Limits, child_result
 from ..fbx import fbx_as_glb
+from ..mtl import image_type
 from . import check
 
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 """Chunk types of a GLB file (4.4.3 Chunks): "JSON" and "BIN"."""
 NO_INDEX = ("scene", "mesh", "skin", "skeleton", "camera", "material", "indices")
 """Optional indices that exporters write as -1 where there is none."""
-IMAGE_TYPES = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "image/webp", b"\xabKTX": "image/ktx2"}
-"""MIME type by the first bytes of an image: PNG and JPEG (3.8.3 Images), WebP and KTX2 through extensions."""
 DECODER = "mimesh.io.gltf.document:decode"
 PACKAGES = {"draco": ("DracoPy", "Draco"), "meshopt": ("meshopt", "meshopt compression")}
 """Module that decodes each codec, and the codec's name in messages."""
@@ -90,7 +89,8 @@ def open_document(path: Path) -> Document:
     # an animation is read.
     used = {skin["inverseBindMatrices"] for skin in gltf.get("skins", []) if "inverseBindMatrices" in skin}
     for primitive in check.list_primitives(gltf):
-        used.update(check.attribute_accessors(primitive), [primitive["indices"]] if "indices" in primitive else [])
+        owners = primitive["attributes"], *primitive.get("targets", [])
+        used.update(*(owner.values() for owner in owners), [primitive["indices"]] if "indices" in primitive else [])
     for index in sorted(used):
         element_bytes(document, index)
     return document
@@ -142,11 +142,6 @@ def read_floats(document: Document, index: int) -> Float[np.ndarray, "N C"]:
             return values.astype(np.float64)
     # 3.11 Animations, equations for normalized integers: f = max(c / 127.0, -1.0) and likewise for other widths.
     return np.maximum(values / np.iinfo(values.dtype).max, -1.0)
-
-
-def image_type(content: bytes) -> str | None:
-    """Return the MIME type of an image from its first bytes; None where no glTF image starts like this."""
-    return next((mime for magic, mime in IMAGE_TYPES.items() if content.startswith(magic)), None)
 
 
 def uri_file_name(entry: dict[str, Any]) -> str:

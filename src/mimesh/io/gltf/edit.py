@@ -22,10 +22,11 @@ from jaxtyping import Float, Int
 
 from ...core.geometry import distinct_rows, unit_vectors, vertex_normals, weld
 from ...core.mesh import Material, Mesh, Part
+from ..mtl import image_type
 from ..usd import stage_axes
 from .animation import animation_names, document_details, fbx_facts
 from .check import ANIMATION_POINTER, ARRAY_BUFFER, ELEMENT_ARRAY_BUFFER
-from .document import Document, image_type, uri_file_name, without_extensions
+from .document import Document, uri_file_name, without_extensions
 from .draft import AccessorCopier, Draft
 from .read import (
     DEFAULT_MATERIAL,

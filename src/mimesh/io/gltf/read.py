@@ -22,9 +22,10 @@ from ...core.errors import InputError
 from ...core.geometry import unit_vectors
 from ...core.mesh import Material, Mesh, Part
 from ..colors import with_alpha
+from ..mtl import image_type
 from ..polygons import joined_corners, with_face_normals
 from . import scene
-from .document import Document, image_type, read_floats
+from .document import Document, read_floats
 
 POINTS, TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 0, 4, 5, 6
 """Values of a primitive's `mode` (glTF 2.0, 5.24 Mesh Primitive); 1 to 3 are lines."""
@@ -93,12 +94,15 @@ def read_rest(document: Document) -> tuple[Mesh, RestScene]:
     vertices = np.concatenate(
         [read_rest_positions(document, span.node, span.primitives[0], T_world_node) for span in vertex_ranges]
     )
+    vertex_normals = [read_rest_normals(document, node, primitive, T_world_node) for node, primitive in keys]
+    normals = _corner_values(vertex_normals, triangles)
     mesh = Mesh(
         vertices,
         faces,
         name=document.path.stem,
         corner_uv=_corner_values([_read_vertex_uv(document, get_primitive(document, key)) for key in keys], triangles),
-        corner_normals=_read_corner_normals(document, keys, triangles, T_world_node, vertices, faces),
+        # A primitive without normals among others gets face normals (glTF 2.0, 3.7.2.1: "calculate flat normals").
+        corner_normals=None if normals is None else with_face_normals(normals, vertices, faces),
         vertex_colors=_read_vertex_colors(document, vertex_ranges, len(vertices)),
         parts=_read_parts(document, rest),
         up="+y",  # glTF 2.0, 3.4 Coordinate System and Units
@@ -202,23 +206,6 @@ def _corner_values(values_of: Sequence[np.ndarray | None], triangles: list[np.nd
     return joined_corners(
         [None if values is None else values[faces] for values, faces in pairs], list(map(len, triangles))
     )
-
-
-def _read_corner_normals(
-    document: Document,
-    keys: list[PrimitiveKey],
-    triangles: list[np.ndarray],
-    T_world_node: Float[np.ndarray, "N 4 4"],
-    vertices: Float[np.ndarray, "V 3"],
-    faces: Int[np.ndarray, "F 3"],
-) -> Float[np.ndarray, "F 3 3"] | None:
-    """Read the normals of all corners; None where no primitive has any.
-
-    A primitive without normals among others gets face normals (glTF 2.0, 3.7.2.1: "calculate flat normals").
-    """
-    vertex_normals = [read_rest_normals(document, node, primitive, T_world_node) for node, primitive in keys]
-    normals = _corner_values(vertex_normals, triangles)
-    return None if normals is None else with_face_normals(normals, vertices, faces)
 
 
 def _read_vertex_colors(
