@@ -112,11 +112,12 @@ def _refuse_motion(identity: Path, output: str | None) -> None:
 
 def _posed_mesh(path: Path, body_model: Path | None) -> tuple[Mesh, tuple[str, ...]]:
     """Read a mesh in the wanted pose, or with a body model what was recorded with it; returns notes as well."""
-    from ..io import load_mesh, load_recorded_mesh
+    from ..io import load_mesh, load_recorded_clip
     from ..tools.convert import taken_pose_note
 
     if body_model is not None:
-        return load_recorded_mesh(path, body_model)
+        clip, notes = load_recorded_clip(path, body_model, count=1)
+        return clip.mesh, notes
     mesh = load_mesh(path)
     return mesh, taken_pose_note(mesh, path)
 

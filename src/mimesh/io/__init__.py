@@ -12,7 +12,6 @@ from .load import load_driving as load_driving
 from .load import load_mesh as load_mesh
 from .load import load_points as load_points
 from .load import load_recorded_clip as load_recorded_clip
-from .load import load_recorded_mesh as load_recorded_mesh
 from .save import check_writable as check_writable
 from .save import joints_file as joints_file
 from .save import refuse_vrm as refuse_vrm

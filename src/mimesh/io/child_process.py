@@ -20,6 +20,7 @@ import signal
 import struct
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextvars import ContextVar
@@ -32,7 +33,7 @@ from ..core.budgets import lift_limits, limits_are_lifted
 from ..core.errors import LONGEST_MESSAGE, InputError, damaged, naming_options, on_command_line, one_line
 from ..core.frame_buffer import Progress
 from ..core.system import end_with_parent, limit_process, limit_processor_time
-from .atomic import scratch_folder, temporary_folder
+from .atomic import scratch_folder
 from .beside import confined, confining_folder
 
 MIB = 2**20
@@ -260,7 +261,7 @@ def _reason(code: int, message: str, limits: Limits) -> str:
     if code < 0 or code != FAILED:
         return f"that its decoder crashed (exit code {code}); the file is damaged, export it again"
     if message == FULL_DISK:
-        return f"no room for its frames in {temporary_folder()}; free some, or set TMPDIR to another folder"
+        return f"no room for its frames in {tempfile.gettempdir()}; free some, or set TMPDIR to another folder"
     return f"{message}; the file is damaged, export it again"
 
 

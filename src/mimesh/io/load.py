@@ -233,12 +233,6 @@ def load_recorded_clip(
     return check_clip(clip, path), notes
 
 
-def load_recorded_mesh(path: str | Path, body_model: str | Path) -> tuple[Mesh, tuple[str, ...]]:
-    """Read the first frame of `load_recorded_clip` as a mesh, without computing the others; returns notes as well."""
-    clip, notes = load_recorded_clip(path, body_model, count=1)
-    return clip.mesh, notes
-
-
 def list_animations(path: str | Path) -> tuple[str, ...]:
     """List the names of the animations of a glTF file or an .fbx; their number stands for a missing name.
 
