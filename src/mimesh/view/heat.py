@@ -30,10 +30,7 @@ MILLIMETRES = 1000.0
 
 
 def heat_map(
-    result: Mesh,
-    truth: Mesh | Float[np.ndarray, "V 3"],
-    limit: float | None = None,
-    tile: tuple[int, int] = TILE,
+    result: Mesh, truth: Mesh | Float[np.ndarray, "V 3"], limit: float | None = None, tile: tuple[int, int] = TILE
 ) -> Image.Image:
     """Draw the result (metres) coloured by each vertex's distance to the truth, with a colour bar in millimetres.
 
