@@ -170,9 +170,7 @@ def _facts(
 
     Args:
         replaced: whether a file of this name was there.
-        joints: how many there are.
         corrected: a line for each file of corrected joints.
-        notes: those on the file.
     """
     return {
         "output": str(output),

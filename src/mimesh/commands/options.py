@@ -60,11 +60,7 @@ def with_options(function: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def options_of(kind: type[T], values: Mapping[str, Any]) -> T:
-    """Return the options of a class among a command's parsed values; those that it does not have are the defaults.
-
-    Args:
-        values: parameter of the command -> value.
-    """
+    """Return the options of a class among a command's parsed values; those that it does not have are the defaults."""
     flags = {_flag(field): field.name for field in dataclasses.fields(kind)}  # type: ignore
     return kind(**{name: values[flag] for flag, name in flags.items() if flag in values})
 

@@ -119,7 +119,6 @@ def child_result(
         function: "package.module:function". It is called as function(source, target, **arguments), writes the file
             `target`, may write others beside it, and may raise InputError. `arguments` are values that JSON has. Files
             that `source` refers to are confined there as they are here (`beside.confined`).
-        source: the file to read.
         name: file that error messages name.
         limits: by default those for the size of `source`; without effect where the budgets are lifted.
         progress: the function gets a further argument `progress`, and what it reports is passed on to this. The limits

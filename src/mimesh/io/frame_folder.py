@@ -33,10 +33,6 @@ def read_sequence(
     another name around the number) the longest is read. Later OBJ frames that differ only in their points are read by a
     fast path. Vertices of an STL that touch in one frame alone give it another topology.
 
-    Args:
-        suffixes: mesh formats that `read` reads.
-        read: reads one mesh file.
-
     Raises:
         OtherTopologyError: a frame of another topology.
         InputError: no numbered meshes, or two series of equal length.

@@ -38,7 +38,6 @@ def read_cache(
     Args:
         fps: frames per second; 30 without.
         suffixes: formats of meshes that `read` reads, likeliest first.
-        read: reads the mesh file beside the cache.
 
     Raises:
         InputError: the file is damaged or truncated, or the mesh beside it has another number of vertices.

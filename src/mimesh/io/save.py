@@ -198,8 +198,6 @@ def save_whole(source: Path, path: Path, animation: str | None = None) -> None:
     """Write a .glb, .gltf, .vrm or .fbx again as another of these, with its skins, blend shapes and animations.
 
     Args:
-        source: the file.
-        path: where to write it.
         animation: name or number of the only animation that is kept; None: all are.
     """
     from .gltf.animation import animation_names, find_animation
@@ -291,7 +289,6 @@ def save_joint_motion(
         parents: index of each joint's parent; -1 for the root, which comes first.
         rest: positions at rest, in the unit of the file.
         rotmat: rotation of each joint in its parent's frame; joints at rest have the axes of the world.
-        root: position of the root.
     """
     from scipy.spatial.transform import Rotation
 

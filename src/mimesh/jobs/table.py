@@ -273,7 +273,6 @@ def filled(pattern: str, inputs: Mapping[str, str], number: int) -> str:
     Args:
         pattern: with names in braces: those of the inputs, and number.
         inputs: what an input is, as in INPUTS -> its path.
-        number: that of the job, from 1.
     """
     values = {name: file_stem(path) for name, path in inputs.items()} | {"number": number}
     names = _names(pattern)

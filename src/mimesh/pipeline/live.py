@@ -141,13 +141,7 @@ class LiveSession:
 
 
 def live_session(found: Route | PartRoute, model: str, root: str, threads: int | None) -> LiveSession:
-    """Make the session of a route.
-
-    Args:
-        model: name of the model.
-        root: as in `animate`.
-        threads: of linear algebra; None leaves them as they are.
-    """
+    """Make the session of a route."""
     parts = found if isinstance(found, PartRoute) else None
     route = found.route if isinstance(found, PartRoute) else found
     assert not isinstance(route, NodeRoute)  # `find_route` makes none for live frames

@@ -147,7 +147,6 @@ def matched_creatures(
 
     Args:
         rigs: as they are read by the names of their joints.
-        mime: the model, if it has joints.
 
     Raises:
         InputError: the rigs are of other creatures, and are not matched with certainty.

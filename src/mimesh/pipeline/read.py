@@ -134,10 +134,7 @@ def scanned_clip(
     In the first frame it faces +z, or as near to that as a turn by right angles takes it.
 
     Args:
-        frames: those to take.
-        told: what is known of the first of them.
         fps: frames a second of the folder; None: 30.
-        progress: called with (meshes read, meshes in all).
 
     Raises:
         InputError: a mesh cannot be read, or no frame is left.
@@ -249,13 +246,7 @@ FAR_SHARE = 0.05
 
 
 def first_frame_note(clip: Clip, start: int, name: str) -> tuple[str, ...]:
-    """Return a note on a first frame far from all others, as the T-pose before many captured motions.
-
-    Args:
-        clip: the whole clip.
-        start: first frame that is taken.
-        name: that of its file.
-    """
+    """Return a note on a first frame far from all others, as the T-pose before many captured motions."""
     if start > 0 or len(clip) < LONE_FRAMES:
         return ()
     every = max(1, len(clip.mesh.vertices) // LONE_VERTICES)
@@ -268,12 +259,7 @@ def first_frame_note(clip: Clip, start: int, name: str) -> tuple[str, ...]:
 
 
 def far_frames_note(clip: Clip, name: str) -> tuple[str, ...]:
-    """Return a note on single frames far from those before and after them, as faults of a tracker or a simulation.
-
-    Args:
-        clip: the frames that are taken.
-        name: that of the clip.
-    """
+    """Return a note on single frames far from those before and after them, as faults of a tracker or a simulation."""
     if len(clip) * FAR_SHARE < 1:
         return ()
     every = max(1, len(clip.mesh.vertices) // FAR_VERTICES)

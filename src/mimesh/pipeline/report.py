@@ -247,12 +247,7 @@ def edge_lengths(vertices: Float[np.ndarray, "V 3"], pairs: Int[np.ndarray, "E 2
 
 
 def edge_stretch(old: Float[np.ndarray, " E"], new: Float[np.ndarray, " E"]) -> Float[np.ndarray, " S"]:
-    """Return the factor by which each edge became longer or shorter (1: unchanged), without the shortest edges.
-
-    Args:
-        old: lengths of the edges before.
-        new: the same after.
-    """
+    """Return the factor by which each edge became longer or shorter (1: unchanged), without the shortest edges."""
     measured = old > MIN_EDGE * (old.mean() if len(old) else 0.0)
     # Twice as long and half as long are the same stretch; the bound keeps collapsed edges finite.
     ratio = np.maximum(new[measured] / old[measured], 1e-6)
@@ -272,8 +267,6 @@ def torn_note(
     """Return a note for the user if much of the result `name` is torn (`quality`).
 
     Args:
-        report: of the result.
-        name: of the identity.
         found: joints were found on its surface.
         skeleton: of it; its joint that is nearest is named. None: none is known.
     """

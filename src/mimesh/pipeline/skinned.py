@@ -125,7 +125,6 @@ def check_own_layout(person: Mapping[str, int], layout: Layout, name: str) -> No
 
     Args:
         person: node of each joint that is known to be a person's, by our name.
-        name: that of the identity.
 
     Raises:
         InputError: another rest pose than the file's, or names and a root bone for what is no person.

@@ -43,7 +43,6 @@ def serve(
         files: meshes to move; the last of several is the driving clip. Files ending in .onnx are models.
         port: 0 for any free one.
         limit: largest size of an uploaded file in bytes.
-        open_browser: show the page in the browser.
         report_address: called with the address, token included, once the port is open.
 
     Raises:

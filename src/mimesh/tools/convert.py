@@ -72,7 +72,6 @@ def convert(
     joints get the shipped body with its bones. Only `morphs` makes morph targets of frames.
 
     Args:
-        source: a file or a folder of frames.
         target: the file to write, or without a suffix a folder of frames.
         progress: is called with the steps done and the steps in all.
 
@@ -197,12 +196,7 @@ def read_clip(
     frames: slice = slice(None),
     betas: np.ndarray | None = None,
 ) -> tuple[Clip, tuple[str, ...]]:
-    """Read a clip, or with a body model the recorded surface; returns notes as well.
-
-    Args:
-        frames: see `load_clip`.
-        betas: see `load_recorded_clip`.
-    """
+    """Read a clip, or with a body model the recorded surface; returns notes as well."""
     if body_model is None:
         clip = io.load_driving(path, fps=fps, animation=animation, progress=progress, frames=frames)
         return clip, clip.notes
@@ -227,7 +221,6 @@ def choose_clips(driving: Sequence[Path], selectors: Sequence[str] | None) -> li
     """Choose clips of driving files, with distinct names.
 
     Args:
-        driving: the files or folders.
         selectors: names or numbers of animations, or ALL. Several of one file, one for each of several files in their
             order, or ALL once for all files; empty or None takes the default of each file.
 
@@ -401,8 +394,6 @@ def hierarchy_note(own: OwnAnimation | None, scheme: str, name: str) -> tuple[st
 
     Args:
         own: the motion on the bones of the identity's file; None: other bones are written.
-        scheme: names of bones that were asked for.
-        name: that of the identity.
     """
     if own is None or scheme == "own":
         return ()
@@ -518,13 +509,7 @@ def frames_at(frames: int, fps: float) -> str:
 
 
 def animations_note(names: Sequence[str], path: Path, several: bool = False) -> tuple[str, ...]:
-    """Return a note on which animation was taken, if a file has several.
-
-    Args:
-        names: of the animations of the file.
-        path: that of the file.
-        several: whether `--animation` takes more than one.
-    """
+    """Return a note on which animation was taken, if a file has several."""
     if len(names) < 2:
         return ()
     others = f"{option('animation', ...)} takes another" + f", {option('animation', ALL)} takes all of them" * several

@@ -79,7 +79,6 @@ def player_page(
         notes: messages shown below the panels.
         download: a file that the page offers; it may take half of the budget.
         budget: size of the page in bytes; see `pack_scene` for what is reduced.
-        motion: limits of the motion alone.
     """
     script, style = web_file("player.js"), web_file("player.css")
     # What the page itself leaves: script and style take about 0.6 MB.

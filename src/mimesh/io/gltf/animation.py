@@ -177,11 +177,6 @@ def find_animation(names: Sequence[str], selector: str, path: Path) -> int:
 
     Blender exports names such as "Armature|Walk". Case is ignored where no name is equal.
 
-    Args:
-        names: those of the animations of a file.
-        selector: what is looked for.
-        path: that of the file, for errors.
-
     Raises:
         InputError: no animation matches, or several do; the message lists their names.
     """

@@ -222,12 +222,7 @@ def check_document(gltf: Any, path: Path) -> None:
 
 
 def check_sizes(gltf: dict[str, Any], size: int, path: Path) -> None:
-    """Check the numbers of vertices, triangles and morph targets that nodes show, each as often as shown.
-
-    Args:
-        gltf: the JSON, checked by `check_document`.
-        size: bytes of all buffers.
-    """
+    """Check the numbers of vertices, triangles and morph targets that nodes show, each as often as shown."""
     nodes, accessors = gltf.get("nodes", []), gltf.get("accessors", [])
     # How many nodes are below each other; loops are reported by those who walk the tree.
     below = {child for node in nodes for child in node.get("children", [])}

@@ -189,10 +189,6 @@ def front_before_placing(document: Document, T_rest_node: Float[np.ndarray, "N 4
 
     A person who faces +z where the mesh was bound and stands turned in the scene has that heading in every frame.
     Others are turned to face +z, or face another way by their maker's habit: their front stays.
-
-    Args:
-        T_rest_node: the nodes at rest, y up.
-        front: axis to the front there.
     """
     largest = _largest_skin(document)
     if largest is None:

@@ -174,9 +174,6 @@ def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> None
 
     What only some of all animations move, old and new, has one key in the other new ones, with the value of the file:
     where an animation leaves a node out, Blender and blending engines keep the pose of another animation.
-
-    Args:
-        animations: of one file, with the same layout.
     """
     root = _place_root_bone(animations)
     draft = _copied_file(animations, root)
@@ -198,7 +195,6 @@ def cut_animation(source: GltfSource, animation: str | None, fps: float | None, 
     Args:
         animation: its name or number; None: the first, with those that complement it.
         fps: frames a second; None: the rate that its keys lie on.
-        frames: those that are taken.
     """
     document, names = source.document, animation_names(source.document)
     channels = select_channels(document, animation)
@@ -248,13 +244,7 @@ def _new_entries(animations: Sequence[OwnAnimation], tracks: Sequence[Tracks], d
 
 
 def node_value(entry: dict[str, Any], key: tuple[int, str], document: Document) -> Float[np.ndarray, "1 C"]:
-    """Return what a node has for a target path, as a track of one frame.
-
-    Args:
-        entry: the node, which may be new in a file that is written.
-        key: its index and the target path.
-        document: the file that has the morph targets.
-    """
+    """Return what a node has for a target path, as a track of one frame."""
     node, path = key
     value = scene.read_morph_weights(document, node) if path == "weights" else scene.node_properties(entry)[path]
     return np.array(value, float)[None]
@@ -411,9 +401,7 @@ class RootBone:
         """Return the values of an animation with the way over the ground on the bone.
 
         Args:
-            tracks: as the nodes of the draft have them.
             hips: path of the hips in the world; y is up.
-            draft: the file with the bone.
         """
         way = (hips - hips[0]) * [1.0, 0.0, 1.0]
         moved = dict(tracks)

@@ -65,7 +65,6 @@ class FileRig:
         """Compute the animated values of the file's nodes that give some joints a motion.
 
         Args:
-            joints: indices of joints of the character.
             transforms: rigid transform of each of them from the rest pose to every frame, in the world of the file.
         """
         document = self.source.document
@@ -120,7 +119,6 @@ def read_own_rig(mesh: Mesh, find: FindJoints | None = None, body: str = "human"
 
     Args:
         find: finds joints of a person whose names say nothing.
-        body: `human` or `quadruped`.
 
     Raises:
         UnnamedJoints: limbs are not found by name, and nothing else finds them.

@@ -65,12 +65,7 @@ def node_properties(entry: Mapping[str, Any]) -> dict[str, Float[np.ndarray, " _
 def world_matrices(
     document: Document, T_parent_node: Float[np.ndarray, "*T N 4 4"] | None = None
 ) -> Float[np.ndarray, "*T N 4 4"]:
-    """Return each node's global transform: the product of the local transforms from its root down.
-
-    Args:
-        document: the file.
-        T_parent_node: local transforms; None: those of the file.
-    """
+    """Return each node's global transform: the product of the local transforms from its root down."""
     if T_parent_node is None:
         T_parent_node = local_matrices(document)
     T_world_node = T_parent_node.copy()
