@@ -20,7 +20,7 @@ import tempfile
 import time
 from pathlib import Path
 
-from mimesh.commands.common import LINEAR_ALGEBRA, NETWORKS
+from mimesh.commands.options import LINEAR_ALGEBRA, NETWORKS
 from mimesh.evaluate.provenance import commit, machine
 from mimesh.io.atomic import whole_file
 from mimesh.motions.bvh import load_bvh

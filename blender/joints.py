@@ -27,7 +27,7 @@ MOVED = 1e-4
 
 def show(context: bpy.types.Context, result: ClipResult, frame: int) -> None:
     """Make an empty for each joint of identity and driving; empties that were moved stay where they are."""
-    from mimesh.pipeline.corrections import shown_bones
+    from mimesh.pipeline.known import shown_bones
 
     settings = context.scene.mimesh
     kept = {role: moved(context, role) for role in ("identity", "driving")}

@@ -27,7 +27,7 @@ from mimesh.io import load_clip, load_mesh
 from mimesh.io.atomic import whole_file
 from mimesh.io.gltf.skinned import write_gltf_skinned
 from mimesh.pipeline import animate
-from mimesh.pipeline.creatures import SURE
+from mimesh.pipeline.node_route import SURE
 
 FRAMES = 60
 """Most frames of a clip that are written."""

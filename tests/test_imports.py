@@ -83,7 +83,7 @@ def test_importing_the_package_loads_nothing_heavy():
     assert answer.stdout.strip() == "[]"
 
 
-MODULES = 109
+MODULES = 104
 """Most modules of mimesh that a transfer between two OBJ files loads: a reader, a route and a network of a paper are
 imported by what uses them."""
 CALL = """

@@ -31,11 +31,10 @@ if TYPE_CHECKING:
     from .io import load_clip, load_mesh, save_clip, save_mesh
     from .jobs.run import batch
     from .pipeline import animate, prepare, transfer
-    from .pipeline.capturing import CapturedClip, capture
+    from .pipeline.capturing import CapturedClip, capture, retarget
     from .pipeline.live import LiveSession
     from .pipeline.report import SavedClip
     from .pipeline.result import ClipResult, Result
-    from .pipeline.retargeting import retarget
     from .pipeline.rigging import RiggedMesh, rig
     from .pipeline.skinned import save_skinned
 
@@ -78,11 +77,10 @@ _MODULES = {
     "jobs.run": ("batch",),
     "io": ("load_clip", "load_mesh", "save_clip", "save_mesh"),
     "pipeline": ("animate", "prepare", "transfer"),
-    "pipeline.capturing": ("CapturedClip", "capture"),
+    "pipeline.capturing": ("CapturedClip", "capture", "retarget"),
     "pipeline.live": ("LiveSession",),
     "pipeline.report": ("SavedClip",),
     "pipeline.result": ("ClipResult", "Result"),
-    "pipeline.retargeting": ("retarget",),
     "pipeline.rigging": ("RiggedMesh", "rig"),
     "pipeline.skinned": ("save_skinned",),
 }

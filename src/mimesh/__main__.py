@@ -18,9 +18,8 @@ from typing import Annotated, Any
 import typer
 
 from .commands import about, learn, measure, move, show
-from .commands.capture import capture
-from .commands.common import Command
-from .commands.rig import rig
+from .commands.joints import capture, rig
+from .commands.options import Command
 from .commands.terminal import Stop
 from .core.printable import say
 from .jobs.command import batch

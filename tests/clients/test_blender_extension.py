@@ -13,7 +13,7 @@ from grouped_options import grouped
 from people import person, walk
 
 import mimesh
-from mimesh.pipeline.corrections import shown_bones
+from mimesh.pipeline.known import shown_bones
 
 pytestmark = pytest.mark.client
 AXES = {"up": "+z", "driving_up": "+z"}

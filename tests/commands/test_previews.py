@@ -61,7 +61,7 @@ def test_drawing_and_reading_have_bars(files, call, monkeypatch):
         yield None
 
     monkeypatch.setattr("mimesh.commands.move.progress", noted)
-    monkeypatch.setattr("mimesh.commands.show.progress", noted)
+    monkeypatch.setattr("mimesh.commands.terminal.progress", noted)
     assert call("transfer hero.obj pose.obj -m copy").code == 0
     assert call("look hero.obj pose.obj").code == 0
     assert call("render hero.obj -o sheet.png --quiet").code == 0

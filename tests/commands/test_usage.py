@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_info
 
 from mimesh.__main__ import COMMANDS
 from mimesh.bodies.engine_names import SCHEMES
-from mimesh.commands import about, common, terminal
+from mimesh.commands import about, options, terminal
 from mimesh.core.errors import did_you_mean
 from mimesh.core.options import Hints, Layout, ModelOptions, values_of
 from mimesh.methods.find import MODELS, NETWORK_OF_BODY
@@ -126,7 +126,7 @@ def test_verbose_tells_times_axes_and_method_on_stderr(files, call):
     assert any(line.startswith("info: driving: up ") for line in lines)
     assert "info: method: copy (given by -m)" in lines
     assert call(COPIED).err == ""
-    assert logging.getLogger(common.LOGGER).handlers == []
+    assert logging.getLogger(options.LOGGER).handlers == []
 
 
 THREADS_OF = """
@@ -149,7 +149,7 @@ print(*[os.environ.get(name) for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREA
     quick=lambda case: "--threads" in case[0],
 )
 def test_threads_before_libraries_are_loaded(arguments, given, expected):
-    unset = (*common.LINEAR_ALGEBRA, THREADS)
+    unset = (*options.LINEAR_ALGEBRA, THREADS)
     environment = {name: value for name, value in os.environ.items() if name not in unset}
     command = [sys.executable, "-c", THREADS_OF, *arguments]
     done = subprocess.run(command, capture_output=True, text=True, env=environment | given, check=True)
@@ -157,7 +157,7 @@ def test_threads_before_libraries_are_loaded(arguments, given, expected):
 
 
 def test_threads_of_loaded_libraries_are_set_back(files, call, monkeypatch):
-    assert common.NETWORKS == THREADS
+    assert options.NETWORKS == THREADS
     monkeypatch.delenv(THREADS, raising=False)
 
     def threads() -> list[int]:

@@ -24,7 +24,7 @@ from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.io import child_process, list_animations, load_clip, load_mesh, load_recorded_clip
 from mimesh.io.joint_file import load_corrections
-from mimesh.io.markers import load_markers
+from mimesh.io.text import load_markers
 from mimesh.methods.onnx_models import load_network
 from mimesh.pipeline.gltf_rigs import rig_facts
 

@@ -7,7 +7,6 @@ import os
 import subprocess
 import sys
 import tempfile
-from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -16,30 +15,29 @@ from zoo import grid
 from mimesh.core.errors import InputError
 from mimesh.core.frame_buffer import LARGE
 from mimesh.core.mesh import Material, Part
-from mimesh.io import load_mesh, save_mesh
-from mimesh.io.guarded import guarded_clip, hand_over_mesh, take_mesh
+from mimesh.io import load_mesh, save_mesh, usd
+from mimesh.io.usd import UsdSource, hand_over_mesh, read_usd_clip, take_mesh
 
 READERS = """
 import os, resource
 import numpy as np
 from mimesh.core.mesh import Mesh
-from mimesh.io.guarded import hand_over_clip
+from mimesh.io.usd import UsdSource, hand_over_clip
 
-class Source:
-    suffix = ".xyz"
+SOURCE = UsdSource(".usd", np.array([3]), "Y", 1.0, ())
 
 def peak():
     return 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 
 def long_clip(source, target, fps, progress):
     count, vertices = map(int, source.read_text().split())
-    mesh = Mesh(np.random.default_rng(0).normal(size=(vertices, 3)), np.array([[0, 1, 2]]), source=Source())
+    mesh = Mesh(np.random.default_rng(0).normal(size=(vertices, 3)), np.array([[0, 1, 2]]), source=SOURCE)
     before = peak()
     hand_over_clip(target, mesh, (mesh.vertices + number for number in range(count)), count, 25.0, progress)
     (source.parent / "growth").write_text(str(peak() - before))
 
 def crash(source, target, fps, progress):
-    mesh = Mesh(np.eye(3), np.array([[0, 1, 2]]), source=Source())
+    mesh = Mesh(np.eye(3), np.array([[0, 1, 2]]), source=SOURCE)
 
     def frames():
         yield mesh.vertices
@@ -47,17 +45,6 @@ def crash(source, target, fps, progress):
 
     hand_over_clip(target, mesh, frames(), 9, 25.0, progress)
 """
-
-
-@dataclasses.dataclass(frozen=True)
-class Kept:
-    """A source with an array, a tuple and other values."""
-
-    numbers: object = None
-    notes: tuple[str, ...] = ()
-    empty: object = None
-    text: str | None = None
-    suffix: ClassVar[str] = ".xyz"
 
 
 @pytest.fixture
@@ -71,7 +58,8 @@ def read(tmp_path, monkeypatch):
     def call(name, count, vertices, progress=None):
         path = tmp_path / "a.xyz"
         path.write_text(f"{count} {vertices}")
-        return guarded_clip(f"test_readers:{name}", path, Kept, 10, None, progress)
+        monkeypatch.setattr(usd, "CLIP_READER", f"test_readers:{name}")
+        return read_usd_clip(path, None, progress)
 
     return call
 
@@ -88,10 +76,10 @@ def test_every_field_of_a_mesh_is_handed_over(tmp_path):
         vertex_colors=rng.uniform(size=(9, 4)),
         parts=parts,
         up="+z",
-        source=Kept(np.arange(5), ("a", "ü"), np.zeros((0, 3)), "y"),
+        source=UsdSource(".usda", np.arange(5), "Z", 0.01, ("a", "ü")),
     )
     hand_over_mesh(tmp_path / "mesh", mesh, count=3)
-    taken, facts = take_mesh(tmp_path / "mesh", Kept)
+    taken, facts = take_mesh(tmp_path / "mesh")
     assert facts["count"] == 3
     for one, other in ((mesh, taken), (mesh.source, taken.source)):
         for field in dataclasses.fields(one):
@@ -101,8 +89,10 @@ def test_every_field_of_a_mesh_is_handed_over(tmp_path):
                 assert after.dtype == before.dtype
             elif field.name != "source":
                 assert after == before
-    hand_over_mesh(tmp_path / "bare", dataclasses.replace(grid(3), source=Kept()))
-    assert take_mesh(tmp_path / "bare", Kept)[0].corner_uv is None
+    hand_over_mesh(
+        tmp_path / "bare", dataclasses.replace(grid(3), source=UsdSource(".usd", np.arange(0), "Y", 1.0, ()))
+    )
+    assert take_mesh(tmp_path / "bare")[0].corner_uv is None
 
 
 @pytest.mark.slow

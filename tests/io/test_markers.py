@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mimesh.core.errors import InputError
-from mimesh.io.markers import load_markers
+from mimesh.io.text import load_markers
 
 
 def test_pairs_are_read_and_comments_skipped(tmp_path):

@@ -14,7 +14,7 @@ from smpl_files import Ch, chumpy_modules, loop_vertices, small_arrays, smpl_arr
 
 from mimesh.__main__ import run
 from mimesh.core.errors import InputError
-from mimesh.io import load_clip, load_mesh, load_recorded_clip, load_recorded_mesh
+from mimesh.io import load_clip, load_mesh, load_recorded_clip
 from mimesh.motions.amass import parse_betas
 from mimesh.motions.smpl_clip import fitted_pose
 
@@ -279,7 +279,8 @@ def test_the_first_frame_alone_is_that_of_the_clip(small, tmp_path):
     take = recording(24, frames=6)
     take["poses"][0, :3] = 0.0
     path = write_take(tmp_path / "take.npz", **take)
-    mesh, notes = load_recorded_mesh(path, small)
+    first, notes = load_recorded_clip(path, small, count=1)
+    mesh = first.mesh
     clip, of_clip = load_recorded_clip(path, small)
     np.testing.assert_array_equal(mesh.vertices, clip.vertices[0])
     assert (mesh.up, notes) == (clip.mesh.up, of_clip)

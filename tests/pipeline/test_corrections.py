@@ -19,7 +19,7 @@ from mimesh.core.options import Hints, MotionOptions
 from mimesh.evaluate.measure import AXES
 from mimesh.io.joint_file import load_corrections, save_corrections
 from mimesh.motions.animal_clips import gait_clip
-from mimesh.pipeline.corrections import Corrections
+from mimesh.pipeline.known import Corrections
 
 pytestmark = pytest.mark.usefixtures("kept")
 BODY = load_body()

@@ -12,7 +12,7 @@ from mimesh.core.options import Hints
 from mimesh.io import load_clip, load_mesh, save_mesh
 from mimesh.pipeline import animate, transfer
 from mimesh.pipeline.rigging import rig
-from mimesh.view.thinning import subset
+from mimesh.view.pack import subset
 
 
 def test_a_flat_shaded_mesh_moves_as_that_with_shared_corners(model, tmp_path):

@@ -15,7 +15,7 @@ from mimesh.core.mesh import Mesh
 from mimesh.motions.animal_clips import animal_clip
 from mimesh.motions.motion import motion_clip
 from mimesh.motions.procedural import walk_motion
-from mimesh.pipeline.scans import _likeliest
+from mimesh.pipeline.read import _likeliest
 
 FRAMES, FPS = 4, 10.0
 

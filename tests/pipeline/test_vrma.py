@@ -23,7 +23,7 @@ from mimesh.io import load_clip
 from mimesh.io.gltf.document import open_document
 from mimesh.motions.bone_motion import T_DIRECTIONS, bone_parents
 from mimesh.pipeline.result import ClipResult, Timer
-from mimesh.pipeline.vrma import _bone_motion
+from mimesh.pipeline.vrm import _bone_motion
 
 TURN = {0: np.diag([-1.0, 1.0, -1.0]), 1: np.eye(3)}
 ARKIT = ("browInnerUp", "mouthSmileLeft", "jawOpen")

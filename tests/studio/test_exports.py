@@ -14,8 +14,7 @@ from mimesh.bodies.engine_rig import Layout
 from mimesh.io.gltf.vrm import PUBLIC_LICENSE
 from mimesh.studio import make_session
 from mimesh.studio.exports import Order, formats
-from mimesh.studio.fields import field_name
-from mimesh.studio.items import Item
+from mimesh.studio.items import Item, field_name
 from mimesh.studio.operations import for_page
 
 

@@ -11,7 +11,7 @@ from mimesh import InputError, animate, save_clip, save_mesh
 from mimesh.core.joint_corrections import JointCorrections
 from mimesh.core.options import Hints
 from mimesh.io.joint_file import load_corrections, save_corrections
-from mimesh.pipeline.corrections import shown_bones
+from mimesh.pipeline.known import shown_bones
 from mimesh.studio import make_session
 from mimesh.studio.state import describe
 

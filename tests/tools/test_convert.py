@@ -19,7 +19,7 @@ from mimesh.io.formats import CLIP_WRITERS, MESH_WRITERS
 from mimesh.io.gltf.document import open_document, read_floats
 from mimesh.io.gltf.draft import Draft
 from mimesh.motions import load_motion, window
-from mimesh.pipeline.odd_frames import far_frames_note, first_frame_note
+from mimesh.pipeline.read import far_frames_note, first_frame_note
 from mimesh.tools.convert import (
     LARGE,
     DrivingClip,

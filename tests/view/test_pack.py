@@ -15,9 +15,17 @@ from PIL import Image
 from mimesh.core.errors import InputError
 from mimesh.core.geometry import border_edges, vertex_normals
 from mimesh.core.mesh import Clip, Material, Mesh, Part
-from mimesh.view.pack import MotionLimits, Panel, TextureStore, pack_scene, split_vertices
+from mimesh.view.pack import (
+    DENSE_VERTICES,
+    MotionLimits,
+    Panel,
+    TextureStore,
+    pack_scene,
+    simplify_clip,
+    split_vertices,
+    subset,
+)
 from mimesh.view.textures import decode_image
-from mimesh.view.thinning import DENSE_VERTICES, simplify_clip, subset
 
 
 def inflate(text):

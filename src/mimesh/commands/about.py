@@ -74,7 +74,6 @@ MISSING = "its weights are missing here; install mimesh again"
 
 
 def _describe(card: dict[str, Any]) -> str:
-    """Return size, licence and errors of a shipped network in one line."""
     from ..evaluate.metrics import VERSION
 
     measured = card.get("metrics", {})

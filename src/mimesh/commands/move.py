@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -12,9 +12,7 @@ import typer
 
 from ..core.options import FrameRange, Hints, Layout, ModelOptions, MotionOptions
 from ..core.printable import say
-from .clips import check_clip_output, check_rig_layout, check_single, check_suffix, clip_output, save_clips
-from .common import LOGGER
-from .options import ClipOptions, JointOptions, OutputOptions, ShapeOptions, Without, with_options
+from .options import LOGGER, ClipOptions, JointOptions, OutputOptions, ShapeOptions, Without, with_options
 from .terminal import (
     Model,
     given_path,
@@ -29,9 +27,8 @@ from .terminal import (
 )
 
 if TYPE_CHECKING:
-    from ..core.joint_corrections import JointCorrections
-    from ..core.mesh import Mesh
-    from ..pipeline.report import Deviations
+    from ..core.mesh import Clip, Mesh
+    from ..pipeline.report import Deviations, SavedClip
     from ..pipeline.result import ClipResult, Result
     from ..tools.convert import DrivingClip
 
@@ -115,11 +112,12 @@ def _refuse_motion(identity: Path, output: str | None) -> None:
 
 def _posed_mesh(path: Path, body_model: Path | None) -> tuple[Mesh, tuple[str, ...]]:
     """Read a mesh in the wanted pose, or with a body model what was recorded with it; returns notes as well."""
-    from ..io import load_mesh, load_recorded_mesh
+    from ..io import load_mesh, load_recorded_clip
     from ..tools.convert import taken_pose_note
 
     if body_model is not None:
-        return load_recorded_mesh(path, body_model)
+        clip, notes = load_recorded_clip(path, body_model, count=1)
+        return clip.mesh, notes
     mesh = load_mesh(path)
     return mesh, taken_pose_note(mesh, path)
 
@@ -255,7 +253,6 @@ class ClipJob:
 
 
 def _log(result: Result | ClipResult, model: str, body: str) -> None:
-    """Write the times of the steps, and what was chosen and why, to the log (--verbose)."""
     import logging
 
     log, report = logging.getLogger(LOGGER), result.report
@@ -289,7 +286,6 @@ def _write_preview(
 
 
 def _previews(output: Path, preview: bool, clip: str | None = None, usual: str = ".glb") -> tuple[Path, ...]:
-    """Return the paths of the picture and the page that are written beside an output."""
     if not preview:
         return ()
     from ..tools.preview import names_beside
@@ -310,7 +306,6 @@ def check_outputs(
 
 
 def _timed(work):
-    """Call a function; return its result and the wall time in seconds."""
     import time
 
     begin = time.perf_counter()
@@ -335,17 +330,13 @@ def with_joint_files(
             path, beside = side_file(mesh), " (--no-joints ignores it)"
         if path is not None:
             read[name] = load_corrections(path)
-            lines.append(f"{_named_joints(read[name])} as in {read[name].source}{beside}")
+            named, count = read[name].positions, len(read[name].positions)
+            known = f"{count} joints" if count > MOST_NAMED else ", ".join(named) or "none"
+            lines.append(f"{known} as in {read[name].source}{beside}")
     return dataclasses.replace(hints, **read), tuple(lines)
 
 
-def _named_joints(corrections: JointCorrections) -> str:
-    count = len(corrections.positions)
-    return f"{count} joints" if count > MOST_NAMED else ", ".join(corrections.positions) or "none"
-
-
 def _files(options: ModelOptions) -> tuple[Path | None, ...]:
-    """Return the files that options of a model name."""
     return tuple(file for file in (options.reference, options.markers) if isinstance(file, Path))
 
 
@@ -493,7 +484,6 @@ def _print_summary(facts: dict[str, Any]) -> None:
 
 
 def _print_viewing(facts: dict[str, Any]) -> None:
-    """Print how to look at a result: its page, or the command that makes a page or a picture of it."""
     output = Path(facts["output"])
     if facts["report"]["page"]:
         say(f"next: open {facts['report']['page']} in a browser")
@@ -503,3 +493,120 @@ def _print_viewing(facts: dict[str, Any]) -> None:
         print_next("look", output)
     else:
         print_next("render", output, "-o", output.with_suffix(".html"))
+
+
+def clip_output(identity: Path, driving: Sequence[Path]) -> Path:
+    """Return the default output: IDENTITY-DRIVING.glb, or for several clips IDENTITY-clips.glb."""
+    beside = output_beside(identity, driving[0], ".glb")
+    return beside if len(driving) == 1 else identity.with_name(f"{identity.stem}-clips.glb")
+
+
+def check_clip_output(output: Path, clips: int, skinned: bool, shapes: ShapeOptions, layout: Layout) -> bool | None:
+    """Check that the format of the output can hold what is asked for, of so many clips.
+
+    Returns:
+        Whether joints are written; None: if the model has any.
+
+    Raises:
+        InputError: options that exclude each other, or a format that cannot hold the clip, joints or several clips.
+    """
+    from ..core.errors import InputError
+    from ..io import clip_suffixes, refuse_vrm
+    from ..io.formats import FRAME_SUFFIXES, JOINTED
+    from ..pipeline.vrm import check_bones_layout
+    from ..tools.convert import BONES_ONLY
+    from ..view.movie import MOVIES
+
+    refuse_vrm(output)
+    frames = shapes.morphs
+    if frames and skinned:
+        raise InputError("--morphs: expected it without --skinned, found both; choose one of them")
+    playing = tuple(suffix for suffix in JOINTED if suffix != ".vrm")
+    jointed = (*playing, BONES_ONLY)
+    if clips > 1 and (frames or output.suffix.lower() not in jointed):
+        found = "--morphs" if frames else f"'{output.suffix}'"
+        raise InputError(
+            f"{output}: expected joints in a .glb, .gltf, .fbx or .vrma for {clips} clips, found {found}; "
+            "animate one clip at a time, or change the output"
+        )
+    held = playing if frames else jointed
+    if not (frames or skinned) and output.suffix.lower() in FRAME_SUFFIXES:
+        raise InputError(
+            f"{output}: expected a format for a clip, found '{output.suffix}', which holds one mesh; for a folder of "
+            f"them name it without a suffix: -o {output.with_suffix('')}"
+        )
+    check_suffix(output, held if frames or skinned else (*clip_suffixes(), *MOVIES, BONES_ONLY, ""))
+    if layout != Layout() and (frames or output.suffix.lower() not in jointed):
+        raise InputError(
+            "--names, --root-bone, --rest, --output-fps: expected joints in a .glb, .gltf or .fbx, found "
+            f"{output.name} without; change the output, or leave these options out"
+        )
+    if output.suffix.lower() == BONES_ONLY:
+        check_bones_layout(layout, output)
+        return True
+    if skinned or clips > 1 or layout != Layout():
+        return True
+    return False if frames or output.suffix.lower() not in playing else None
+
+
+def check_rig_layout(
+    identity: Mesh, clip: Clip, model: str, hints: Hints, options: MotionOptions, layout: Layout
+) -> None:
+    """Check that the identity's own rig can get a layout if it is used, before anything is moved."""
+    from ..methods.find import moves_joints
+    from ..pipeline.file_rigs import read_rigs
+    from ..pipeline.known import Known
+    from ..pipeline.parts import find_part
+    from ..pipeline.skinned import check_own_layout
+
+    bones = layout.names != "own" or layout.root_bone or layout.rest != "file"
+    if not bones or hints.rig != "own" or hints.joints is not None or not moves_joints(model):
+        return
+    part = find_part(identity, hints.part)
+    identity = identity if part is None else part.mesh
+    rigs = read_rigs(identity, clip, Known(body=hints.body), copy=True)
+    if rigs.identity is not None:
+        check_own_layout(rigs.identity.person, layout, identity.name)
+    elif rigs.copied is not None and not options.changes_motion:
+        check_own_layout({}, layout, identity.name)
+
+
+def check_suffix(output: Path, suffixes: tuple[str, ...]) -> None:
+    """Check that a format can be written, before the work is done."""
+    from ..core.errors import InputError
+    from ..io import check_writable
+
+    if output.suffix.lower() not in suffixes:
+        known = " ".join(sorted({suffix for suffix in suffixes if suffix}))
+        raise InputError(
+            f"{output}: expected an output in one of {known}, found '{output.suffix}'; name another with -o"
+        )
+    check_writable(output)
+
+
+def check_single(clips: int, options: dict[str, object]) -> None:
+    """Check that options about one driving clip are not given with several."""
+    from ..core.errors import InputError
+
+    for option, value in options.items():
+        if value is not None and clips > 1:
+            raise InputError(f"{option}: expected one clip with it, found {clips}; animate one clip at a time")
+
+
+def save_clips(
+    results: Sequence[ClipResult],
+    output: Path,
+    names: Sequence[str],
+    skinned: bool | None,
+    layout: Layout,
+    progress: Callable[[int, int], None] | None,
+) -> SavedClip:
+    """Write results as joints, with `skinned` None where they move or are the file's own; else the one as frames."""
+    from ..pipeline.skinned import save_skinned
+
+    first = results[0]
+    jointed = first.skeleton is not None or first.own is not None
+    moving = len(first.frames) > 1 or first.own is not None  # the pose of a file's own bones keeps its skin
+    if skinned or (skinned is None and jointed and moving):
+        return save_skinned(results, output, animations=names, layout=layout)
+    return first.save(output, progress=progress)

@@ -11,20 +11,8 @@ import typer
 
 from ..core.options import ConvertOptions, FrameRange, RenderOptions
 from ..core.printable import say
+from . import terminal
 from .options import ClipOptions, OutputOptions, Without, with_options
-from .terminal import (
-    Json,
-    Model,
-    NoLimits,
-    Quiet,
-    print_json,
-    print_next,
-    progress,
-    refuse_existing,
-    refuse_inputs,
-    require,
-    single,
-)
 
 if TYPE_CHECKING:
     from ..core.mesh import Clip
@@ -32,13 +20,13 @@ if TYPE_CHECKING:
 Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Meshes, clips or folders of numbered meshes.")]
 
 
-def look(files: Files, no_limits: NoLimits = False, json: Json = False) -> None:
+def look(files: Files, no_limits: terminal.NoLimits = False, json: terminal.Json = False) -> None:
     """Show what mesh files contain, and problems that may spoil a transfer."""
     from ..core.errors import InputError
     from ..tools.inspect import inspect_file
 
     facts, errors = {}, []
-    with progress("reading", json) as advance:
+    with terminal.progress("reading", json) as advance:
         for done, path in enumerate(files, start=1):
             try:
                 facts[path] = inspect_file(path)
@@ -49,7 +37,7 @@ def look(files: Files, no_limits: NoLimits = False, json: Json = False) -> None:
     if json:
         if errors:
             raise errors[0]
-        print_json({"files": [fact.as_dict() for fact in facts.values()]})
+        terminal.print_json({"files": [fact.as_dict() for fact in facts.values()]})
         return
     for fact in facts.values():
         say(*fact.text().split("\n"), *([""] if len(files) > 1 else []))
@@ -57,7 +45,7 @@ def look(files: Files, no_limits: NoLimits = False, json: Json = False) -> None:
         say(f"mimesh: {error}", error=True)
     if errors:
         raise errors[-1]
-    print_next("render", *files, "-o", "sheet.png")
+    terminal.print_next("render", *files, "-o", "sheet.png")
 
 
 @with_options
@@ -77,18 +65,18 @@ def render(
     from ..tools.draw import check_options, draw
 
     check_options(options, output)
-    refuse_existing(printed.no_clobber, output)
-    refuse_inputs(output, *files, options.truth)
-    with progress("reading", printed.silent):
-        clips = _cut(files, single("--animation", taken.animation), taken)
+    terminal.refuse_existing(printed.no_clobber, output)
+    terminal.refuse_inputs(output, *files, options.truth)
+    with terminal.progress("reading", printed.silent):
+        clips = _cut(files, terminal.single("--animation", taken.animation), taken)
     names = [path.name for path in files]
-    with progress("frames", printed.silent) as advance:
+    with terminal.progress("frames", printed.silent) as advance:
         kind = draw(options, names, clips, output, taken, advance)
     if printed.json:
-        print_json({"output": str(output), "kind": kind, "files": [str(path) for path in files]})
+        terminal.print_json({"output": str(output), "kind": kind, "files": [str(path) for path in files]})
     elif not printed.quiet:
         say(f"{output}: {kind} of {', '.join(names)}")
-        print_next("look", *files)
+        terminal.print_next("look", *files)
 
 
 def _cut(files: list[Path], animation: str | None, taken: FrameRange) -> list[Clip]:
@@ -117,21 +105,21 @@ def convert(
     from ..tools.convert import frames_at
     from ..view.movie import MOVIES
 
-    refuse_existing(printed.no_clobber, target)
-    refuse_inputs(target, source, options.body_model)
-    options = dataclasses.replace(options, animation=single("--animation", taken.animation))
-    with progress("frames", printed.silent) as advance:
+    terminal.refuse_existing(printed.no_clobber, target)
+    terminal.refuse_inputs(target, source, options.body_model)
+    options = dataclasses.replace(options, animation=terminal.single("--animation", taken.animation))
+    with terminal.progress("frames", printed.silent) as advance:
         written = convert_file(source, target, options, advance)
     facts = {"output": str(target), "vertices": written.vertices, "frames": written.frames, "fps": written.fps}
     if printed.json:
-        print_json({**facts, "notes": list(written.notes)})
+        terminal.print_json({**facts, "notes": list(written.notes)})
     elif not printed.quiet:
         length = "" if written.fps is None else f", {frames_at(written.frames, written.fps)}"
         say(f"{target}: {written.vertices} vertices{length}")
         for note in written.notes:
             say(f"note: {note}")
         if target.suffix.lower() not in MOVIES:
-            print_next("look", target)
+            terminal.print_next("look", target)
 
 
 def studio(
@@ -139,21 +127,21 @@ def studio(
         list[Path] | None,
         typer.Argument(metavar="[FILE]...", help="Meshes to move and, last of several, what to imitate; .onnx models."),
     ] = None,
-    model: Model = "mime",
+    model: terminal.Model = "mime",
     port: Annotated[int, typer.Option(help="Where to listen; by default a port that is free.", min=0, max=65535)] = 0,
     host: Annotated[str, typer.Option(help="Another address than this machine's own: others can then reach it.")] = (
         "127.0.0.1"
     ),
     limit: Annotated[int, typer.Option(metavar="MIB", help="Size of a file that may be dropped.", min=1)] = 512,
     opened: Annotated[bool, typer.Option("--open/--no-open", help="Show the page in the browser.")] = True,
-    json: Json = False,
-    quiet: Quiet = False,
+    json: terminal.Json = False,
+    quiet: terminal.Quiet = False,
 ) -> None:
     """Move meshes on a page of this machine: drop files, choose a model, watch, export.
 
     Ends with Ctrl-C and leaves nothing behind; FILEs are read and never changed. The address it prints opens it.
     """
-    require("viewer", "starlette", "uvicorn")
+    terminal.require("viewer", "starlette", "uvicorn")
     from ..studio import serve
     from ..studio.security import LOOPBACK
 
@@ -166,7 +154,7 @@ def studio(
 
     def announce(address: str) -> None:
         if json:
-            print_json({"address": address})
+            terminal.print_json({"address": address})
         else:
             say(f"studio: {address}", *([] if quiet else ["Ctrl-C ends it"]))
         sys.stdout.flush()

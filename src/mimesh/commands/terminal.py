@@ -172,11 +172,7 @@ def progress_lines(what: str) -> Iterator[Callable[[int, int], None]]:
 
 
 def single(option: str, values: list[str] | None) -> str | None:
-    """Return the value of an option that takes one; Typer would take the last of several without a word.
-
-    Raises:
-        InputError: the option is given several times.
-    """
+    """Return the value of an option that takes one; Typer would take the last of several without a word."""
     from ..core.errors import InputError
 
     if values and len(values) > 1:
@@ -185,11 +181,7 @@ def single(option: str, values: list[str] | None) -> str | None:
 
 
 def output_beside(identity: Path, driving: Path, suffix: str) -> Path:
-    """Return the default output, `<identity>-<driving><suffix>` in the identity's folder.
-
-    Raises:
-        InputError: the identity is not a file.
-    """
+    """Return the default output, `<identity>-<driving><suffix>` in the identity's folder."""
     from ..core.errors import InputError
     from ..core.system import refuse_pipe
     from ..tools.convert import file_stem
@@ -209,9 +201,6 @@ def output_path(given: str | None, usual: Callable[[], Path], frames: bool = Fal
             the output gets the usual name.
         usual: gives the default output.
         frames: whether a folder without the slash that holds numbered meshes is the output itself, as such.
-
-    Raises:
-        InputError: an empty text, or a file where a folder is meant.
     """
     from ..core.errors import InputError
 
@@ -242,11 +231,7 @@ def refuse_existing(no_clobber: bool, *outputs: Path | None) -> None:
 
 
 def given_path(text: str) -> Path:
-    """Return the path of an argument; an empty one, as of an unset variable, would be the current folder.
-
-    Raises:
-        typer.BadParameter: it is empty.
-    """
+    """Return the path of an argument; an empty one, as of an unset variable, would be the current folder."""
     if not text.strip():
         raise typer.BadParameter("expected a path, found an empty text; check variables and quotes")
     return Path(text)

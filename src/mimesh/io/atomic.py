@@ -121,7 +121,7 @@ def whole_folder(path: str | Path) -> Iterator[Path]:
 @contextlib.contextmanager
 def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
     """Yield a folder in `parent`, by default the system's for temporary files, that is deleted after the block."""
-    parent = parent or temporary_folder()
+    parent = parent or Path(tempfile.gettempdir())
     _remove_left_over(parent)
     temporary = _folder_name(parent, "work")
     try:
@@ -129,15 +129,6 @@ def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
         yield temporary
     finally:
         _delete(temporary)
-
-
-def temporary_folder() -> Path:
-    """Return the system's folder for temporary files, as TMPDIR may say.
-
-    Raises:
-        OSError: there is none that can be written to.
-    """
-    return Path(tempfile.gettempdir())
 
 
 @contextlib.contextmanager

@@ -20,6 +20,7 @@ import signal
 import struct
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Callable, Iterator
 from contextvars import ContextVar
@@ -32,7 +33,7 @@ from ..core.budgets import lift_limits, limits_are_lifted
 from ..core.errors import LONGEST_MESSAGE, InputError, damaged, naming_options, on_command_line, one_line
 from ..core.frame_buffer import Progress
 from ..core.system import end_with_parent, limit_process, limit_processor_time
-from .atomic import scratch_folder, temporary_folder
+from .atomic import scratch_folder
 from .beside import confined, confining_folder
 
 MIB = 2**20
@@ -118,7 +119,6 @@ def child_result(
         function: "package.module:function". It is called as function(source, target, **arguments), writes the file
             `target`, may write others beside it, and may raise InputError. `arguments` are values that JSON has. Files
             that `source` refers to are confined there as they are here (`beside.confined`).
-        source: the file to read.
         name: file that error messages name.
         limits: by default those for the size of `source`; without effect where the budgets are lifted.
         progress: the function gets a further argument `progress`, and what it reports is passed on to this. The limits
@@ -250,7 +250,6 @@ def _wait(process: subprocess.Popen[bytes], counts: Path, limits: Limits, name: 
 
 
 def _reason(code: int, message: str, limits: Limits) -> str:
-    """Describe why a child failed, and what to do, from its exit code."""
     if code == NO_MEMORY or "MemoryError" in message or "bad_alloc" in message:
         memory = f"{limits.memory // MIB:,} MiB"
         return f"that it needs more than {memory} of memory; the file is damaged or too large, export it again"
@@ -261,7 +260,7 @@ def _reason(code: int, message: str, limits: Limits) -> str:
     if code < 0 or code != FAILED:
         return f"that its decoder crashed (exit code {code}); the file is damaged, export it again"
     if message == FULL_DISK:
-        return f"no room for its frames in {temporary_folder()}; free some, or set TMPDIR to another folder"
+        return f"no room for its frames in {tempfile.gettempdir()}; free some, or set TMPDIR to another folder"
     return f"{message}; the file is damaged, export it again"
 
 

@@ -81,7 +81,6 @@ def _read_npz_clip(path: Path, fps: float | None, progress: Progress | None) -> 
 
 
 def _read_body_model(path: Path) -> Mesh:
-    """Read a body model as the mesh of its mean shape at rest."""
     from ..bodies.smpl_model import load_smpl_model
 
     return load_smpl_model(path).mesh()

@@ -33,10 +33,6 @@ def read_sequence(
     another name around the number) the longest is read. Later OBJ frames that differ only in their points are read by a
     fast path. Vertices of an STL that touch in one frame alone give it another topology.
 
-    Args:
-        suffixes: mesh formats that `read` reads.
-        read: reads one mesh file.
-
     Raises:
         OtherTopologyError: a frame of another topology.
         InputError: no numbered meshes, or two series of equal length.
@@ -51,11 +47,7 @@ def read_sequence(
 
 
 def find_frames(folder: Path, suffixes: Collection[str]) -> list[Path]:
-    """Find the longest series of numbered meshes with one name and suffix, in natural order (2 before 10).
-
-    Raises:
-        InputError: there are no numbered meshes, or two series are equally long.
-    """
+    """Find the longest series of numbered meshes with one name and suffix, in natural order (2 before 10)."""
     files = [path for path in folder.iterdir() if path.suffix.lower() in suffixes and path.is_file()]
     visible = [path for path in files if not path.name.startswith(".")]
     series = Counter(_series(path) for path in visible if _NUMBER.search(path.stem))

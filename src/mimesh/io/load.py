@@ -161,7 +161,6 @@ def load_driving(
 
 
 def _whole_clip(path: Path, fps: float | None, animation: str | None, progress: Progress | None) -> Clip:
-    """Read all frames of a clip."""
     suffix = path.suffix.lower()
     if path.is_file() and suffix not in (*CLIP_READERS, *ANIMATED):
         mesh = load_mesh(path)
@@ -183,11 +182,7 @@ def _whole_clip(path: Path, fps: float | None, animation: str | None, progress: 
 
 
 def load_points(path: str | Path, first: Mesh, first_path: Path) -> Float[np.ndarray, "V 3"]:
-    """Read the vertices of a mesh that must have the topology of a first one; quick for OBJ and PLY files.
-
-    Raises:
-        InputError: as `load_mesh`, or another topology.
-    """
+    """Read the vertices of a mesh that must have the topology of a first one; quick for OBJ and PLY files."""
     from .frame_folder import read_frame
 
     path = Path(path)
@@ -238,23 +233,10 @@ def load_recorded_clip(
     return check_clip(clip, path), notes
 
 
-def load_recorded_mesh(path: str | Path, body_model: str | Path) -> tuple[Mesh, tuple[str, ...]]:
-    """Read the first frame of `load_recorded_clip` as a mesh, without computing the others; returns notes as well.
-
-    Raises:
-        InputError: one of the files cannot be used.
-    """
-    clip, notes = load_recorded_clip(path, body_model, count=1)
-    return clip.mesh, notes
-
-
 def list_animations(path: str | Path) -> tuple[str, ...]:
     """List the names of the animations of a glTF file or an .fbx; their number stands for a missing name.
 
     Empty for other formats, which have one clip at most, and for folders.
-
-    Raises:
-        InputError: no such file, or a damaged one.
     """
     path = Path(path)
     _must_exist(path)
@@ -268,7 +250,6 @@ def list_animations(path: str | Path) -> tuple[str, ...]:
 
 
 def _check_clip_options(path: Path, fps: float | None, animation: str | None) -> None:
-    """Raise InputError for an animation of a format without animations, or an impossible frame rate."""
     if animation is not None and path.suffix.lower() not in ANIMATED:
         raise InputError(
             f"{path}: expected {' or '.join(ANIMATED)} with {option('animation', ...)}, found '{path.suffix}'; leave "

@@ -21,6 +21,8 @@ LONGEST_STEM = 60
 """Characters of the name of an image, which file systems limit to 255 bytes."""
 _MAPS = ("map_", "bump", "disp", "decal", "refl", "norm")
 """Prefixes of statements whose argument is an image file."""
+IMAGE_TYPES = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "image/webp", b"\xabKTX": "image/ktx2"}
+"""MIME type by the first bytes of an image: PNG and JPEG, and in glTF WebP and KTX2 through extensions."""
 _NEW_MATERIAL = re.compile(r"^[ \t]*newmtl[ \t]+", re.MULTILINE)
 
 
@@ -53,11 +55,14 @@ def read_image(path: Path) -> bytes | None:
     return content if image_suffix(content) else None
 
 
+def image_type(content: bytes) -> str | None:
+    """Return the MIME type of an image from its first bytes; None for others."""
+    return next((mime for magic, mime in IMAGE_TYPES.items() if content.startswith(magic)), None)
+
+
 def image_suffix(content: bytes) -> str:
     """Return `.png` or `.jpg` by the first bytes of an image file, and an empty string for other formats."""
-    if content.startswith(b"\x89PNG"):
-        return ".png"
-    return ".jpg" if content.startswith(b"\xff\xd8") else ""
+    return {"image/png": ".png", "image/jpeg": ".jpg"}.get(image_type(content) or "", "")
 
 
 def write_image(content: bytes, folder: Path, stem: str) -> str:

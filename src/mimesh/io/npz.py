@@ -60,9 +60,6 @@ def read_npz_clip(path: Path, fps: float | None, progress: Progress | None = Non
     """Read a clip from an archive: `vertices` (T, V, 3), `faces` and `fps`; a mesh is a clip of one frame.
 
     `fps` overrides the file's frame rate; without either it is 30 per second. Frames are read one by one.
-
-    Raises:
-        InputError: as `read_npz`.
     """
     with path.open("rb") as file, open_archive(file, path) as (archive, names):
         key, faces = _find(POINTS, names, path), _read_faces(archive, names, path)

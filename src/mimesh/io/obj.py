@@ -331,10 +331,7 @@ def _absolute_indices(
     bad = np.flatnonzero((index >= len(definitions)) | ((raw < 0) & (index < 0)))
     if bad.size:
         where = line_number(lines, int(corner_lines[bad[0]]))
-        raise InputError(
-            f"{path}: expected indices in 1..{len(definitions)}, found {raw[bad[0]]} in line {where}; "
-            "the file is damaged or cut short, export it again"
-        )
+        raise damaged(path, f"indices in 1..{len(definitions)}", f"{raw[bad[0]]} in line {where}")
     return index
 
 

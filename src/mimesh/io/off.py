@@ -38,10 +38,7 @@ def read_off(path: Path) -> Mesh:
     vertex_count, face_count, start, has_normals = _read_header(plain, non_empty, path)
     rows = non_empty[start : start + vertex_count + face_count]
     if len(rows) < vertex_count + face_count:
-        raise InputError(
-            f"{path}: expected {vertex_count} vertex and {face_count} face lines, found {len(rows)} in all; "
-            "the file is cut short, export it again"
-        )
+        raise damaged(path, f"{vertex_count} vertex and {face_count} face lines", f"{len(rows)} in all")
     vertex_lines, face_lines = rows[:vertex_count], rows[vertex_count:]
     vertices = read_numbers(lines, vertex_lines, 0, 3, path)
     faces, sizes = _read_faces(plain, face_lines, vertex_count, path)
@@ -85,7 +82,6 @@ def _read_header(lines: list[bytes], non_empty: list[int], path: Path) -> tuple[
 def _read_faces(
     lines: list[bytes], index: list[int], vertex_count: int, path: Path
 ) -> tuple[Int[np.ndarray, "F 3"], Int[np.ndarray, " P"]]:
-    """Read the face lines; return triangles and the corner count of each polygon."""
     rows = [lines[i].split() for i in index]
     try:
         polygons = [list(map(int, row[1 : 1 + int(row[0])])) for row in rows]

@@ -15,7 +15,7 @@ import numpy as np
 from jaxtyping import Float
 
 from ..core.budgets import check_clip_size
-from ..core.errors import InputError
+from ..core.errors import InputError, damaged
 from ..core.frame_buffer import Progress, each_frame, store_frames
 from ..core.mesh import Clip, Mesh
 from .atomic import whole_file
@@ -38,7 +38,6 @@ def read_cache(
     Args:
         fps: frames per second; 30 without.
         suffixes: formats of meshes that `read` reads, likeliest first.
-        read: reads the mesh file beside the cache.
 
     Raises:
         InputError: the file is damaged or truncated, or the mesh beside it has another number of vertices.
@@ -77,10 +76,7 @@ def _mapped_frames(path: Path) -> Float[np.ndarray, "T V 3"]:
         raise InputError(f"{path}: expected a positive sample rate, found {step:g}; export it again")
     size, needed = path.stat().st_size, _HEADER.size + 12 * max(count, 0) * max(points, 0)
     if count < 0 or points < 0 or size < needed:
-        raise InputError(
-            f"{path}: expected {needed} bytes for {count} frames of {points} points, found {size}; "
-            "the file is cut short or of another format, export it again"
-        )
+        raise damaged(path, f"{needed} bytes for {count} frames of {points} points", size)
     if not count or not points:
         raise InputError(
             f"{path}: expected at least one frame with points, found {count} frames of {points}; export it again"

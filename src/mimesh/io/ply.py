@@ -288,7 +288,6 @@ def _read_elements(lines: list[list[str]], order: str) -> list[_Element]:
 
 
 def _read_body(elements: list[_Element], body: np.ndarray, path: Path) -> _Columns:
-    """Read every property of every element."""
     columns: _Columns = {}
     start = 0
     for element in elements:
@@ -296,13 +295,10 @@ def _read_body(elements: list[_Element], body: np.ndarray, path: Path) -> _Colum
         fewest = element.length * sum((p.dtype if p.count is None else p.count).itemsize for p in element.properties)
         found = None
         if start + fewest <= len(body):
-            found = _read_uniform(element, body, start) if element.length else None
+            found = _read_uniform(element, body, start) if element.length and element.properties else None
             found = found or _read_rows(element, body, start)
         if found is None:
-            raise InputError(
-                f"{path}: expected {element.length} rows of element '{element.name}', found the file cut short; "
-                "export it again"
-            )
+            raise damaged(path, f"{element.length} rows of element '{element.name}'", "the file cut short")
         values, start = found
         columns[element.name] = {p.name: column for p, column in zip(element.properties, values, strict=True)}
     return columns
@@ -317,24 +313,20 @@ def _read_uniform(element: _Element, body: np.ndarray, start: int) -> tuple[list
     first = _read_rows(_Element(element.name, 1, element.properties), body, start)
     if first is None:
         return None
-    width = first[1] - start
-    stop = start + width * element.length
+    sizes, fields = [len(column.values) for column in first[0]], []
+    for k, (p, size) in enumerate(zip(element.properties, sizes, strict=True)):
+        fields += [(f"count {k}", p.count)] if p.count is not None else []
+        fields.append((f"values {k}", p.dtype, (size,)))
+    layout = np.dtype(fields)
+    stop = start + layout.itemsize * element.length
     if stop > len(body):
         return None
-    rows, at, columns = body[start:stop].reshape(element.length, width), 0, []
-
-    def take(dtype: np.dtype, count: int) -> np.ndarray:
-        nonlocal at
-        at += count * dtype.itemsize
-        return np.ascontiguousarray(rows[:, at - count * dtype.itemsize : at]).view(dtype)
-
-    for p, of_first in zip(element.properties, first[0], strict=True):
-        counts = None
-        if p.count is not None:
-            counts = np.full(element.length, len(of_first.values))
-            if (take(p.count, 1)[:, 0] != counts).any():
-                return None
-        columns.append(_Column(take(p.dtype, len(of_first.values)).reshape(-1), p.white, counts))
+    rows, columns = body[start:stop].view(layout), []
+    for k, (p, size) in enumerate(zip(element.properties, sizes, strict=True)):
+        counts = None if p.count is None else np.full(element.length, size)
+        if counts is not None and (rows[f"count {k}"] != counts).any():
+            return None
+        columns.append(_Column(np.ascontiguousarray(rows[f"values {k}"]).reshape(-1), p.white, counts))
     return columns, stop
 
 

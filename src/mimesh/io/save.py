@@ -28,7 +28,9 @@ from .mtl import copy_companions
 from .obj import ObjSource
 
 if TYPE_CHECKING:
+    from ..bodies import RiggedBody
     from ..motions.bone_motion import BoneMotion
+    from ..motions.motion import Motion
     from .gltf.own_animation import OwnAnimation
     from .gltf.vrm import VrmMeta
 
@@ -129,9 +131,6 @@ def joints_file(path: str | Path, animated: bool = True) -> Iterator[Path]:
 
     Args:
         animated: whether the file has an animation, which a .vrm cannot have.
-
-    Raises:
-        InputError: another format, or a path that cannot be written to.
     """
     path = Path(path)
     if animated:
@@ -143,11 +142,7 @@ def joints_file(path: str | Path, animated: bool = True) -> Iterator[Path]:
 
 
 def save_vrma(motions: Sequence[BoneMotion], path: str | Path) -> None:
-    """Write motions of the humanoid bones of one skeleton as a VRM animation (.vrma).
-
-    Raises:
-        InputError: another format, or a path that cannot be written to.
-    """
+    """Write motions of the humanoid bones of one skeleton as a VRM animation (.vrma)."""
     from .gltf.vrm import write_vrma
 
     path = Path(path)
@@ -181,9 +176,6 @@ def save_vrm(
         bones: humanoid bone -> joint of the skinned mesh, or node of the file.
         turn: rotation from the axes of the rig to y up, +z front.
         origin: point of the rig on the ground below the hips, which is the origin of the file.
-
-    Raises:
-        InputError: a path that cannot be written to.
     """
     from .gltf.document import open_document
     from .gltf.own_animation import write_own_pose
@@ -206,12 +198,7 @@ def save_whole(source: Path, path: Path, animation: str | None = None) -> None:
     """Write a .glb, .gltf, .vrm or .fbx again as another of these, with its skins, blend shapes and animations.
 
     Args:
-        source: the file.
-        path: where to write it.
         animation: name or number of the only animation that is kept; None: all are.
-
-    Raises:
-        InputError: a damaged file, no such animation, no Blender, or a path that cannot be written to.
     """
     from .gltf.animation import animation_names, find_animation
     from .gltf.document import open_document
@@ -264,3 +251,74 @@ def _mesh_path_of_cache(clip: Clip, path: Path) -> Path | None:
 def _copy_companions(mesh: Mesh, folder: Path) -> None:
     if isinstance(mesh.source, ObjSource):
         copy_companions(mesh.source.companions, mesh.source.path.parent, folder)
+
+
+ORDER = "ZXY"
+"""Order of the rotation channels of every joint: R = R_z R_x R_y, so the last one applies first."""
+CENTIMETRES = 100.0
+"""File units per metre; most BVH files are in centimetres."""
+
+
+def save_bvh(motion: Motion, body: RiggedBody, path: str | Path) -> Path:
+    """Write a motion on the joints of a body of mean shape, and return the path; y up, centimetres, degrees.
+
+    The rest pose of the file is the body's T-pose. The floor is at the soles of the resting body. Only the root has
+    position channels.
+
+    Raises:
+        InputError: the motion is for another skeleton, or the path cannot be written to.
+    """
+    if motion.joint_names != body.joint_names:
+        raise InputError(f"{motion.name}: expected a motion of {body.name}, found other joints; retarget it first")
+    joints, root = CENTIMETRES * body.joints, CENTIMETRES * (body.joints[0] + motion.root)
+    return save_joint_motion(body.joint_names, body.parents, joints, motion.rotmat, root, motion.fps, path)
+
+
+def save_joint_motion(
+    names: tuple[str, ...],
+    parents: tuple[int, ...],
+    rest: Float[np.ndarray, "J 3"],
+    rotmat: Float[np.ndarray, "T J 3 3"],
+    root: Float[np.ndarray, "T 3"],
+    fps: float,
+    path: str | Path,
+) -> Path:
+    """Write the motion of any skeleton, and return the path; y is up.
+
+    Args:
+        parents: index of each joint's parent; -1 for the root, which comes first.
+        rest: positions at rest, in the unit of the file.
+        rotmat: rotation of each joint in its parent's frame; joints at rest have the axes of the world.
+    """
+    from scipy.spatial.transform import Rotation
+
+    lines, order, rotations = ["HIERARCHY"], [], " ".join(f"{axis}rotation" for axis in ORDER)
+
+    def offset_line(offset: np.ndarray) -> str:
+        return "OFFSET " + " ".join(f"{value:.5f}" for value in offset)
+
+    def add_joint(j: int, indent: str = "") -> None:
+        """Append a joint and its descendants to the lines, and their indices, depth first, to `order`."""
+        order.append(j)
+        parent, children = parents[j], [k for k, other in enumerate(parents) if other == j]
+        offset = rest[j] - (rest[parent] if parent >= 0 else 0.0)
+        channels = "CHANNELS 3" if parent >= 0 else "CHANNELS 6 Xposition Yposition Zposition"
+        lines.extend([f"{indent}{'JOINT' if parent >= 0 else 'ROOT'} {names[j]}", f"{indent}{{"])
+        lines.extend([f"{indent}\t{offset_line(offset)}", f"{indent}\t{channels} {rotations}"])
+        for child in children:
+            add_joint(child, indent + "\t")
+        if not children:
+            # A leaf needs an end site, which gives its bone a length: half of the parent bone's.
+            end = ["End Site", "{", f"\t{offset_line(offset / 2)}", "}"]
+            lines.extend(f"{indent}\t{line}" for line in end)
+        lines.append(f"{indent}}}")
+
+    add_joint(0)
+    angles = Rotation.from_matrix(rotmat[:, order].reshape(-1, 3, 3)).as_euler(ORDER, degrees=True)
+    rows = np.concatenate([root, angles.reshape(len(root), -1)], axis=1)
+    lines += ["MOTION", f"Frames: {len(root)}", f"Frame Time: {1 / fps:.7f}"]
+    lines += [" ".join(f"{value:.5f}" for value in row) for row in rows]
+    path = Path(path)
+    with writing(path), whole_file(path) as temporary:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8", errors="replace", newline="\n")
+    return path

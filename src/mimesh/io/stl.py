@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ..core.errors import InputError
+from ..core.errors import InputError, damaged
 from ..core.geometry import face_vectors, unit_vectors, weld
 from ..core.mesh import Mesh, Part
 from .atomic import whole_file
@@ -63,10 +63,8 @@ def _binary_size(data: bytes) -> int:
 def _read_binary(data: bytes, path: Path) -> Float[np.ndarray, "C 3"]:
     count = int.from_bytes(data[80:84], "little")
     if len(data) < _HEADER_SIZE or len(data) < _binary_size(data):
-        raise InputError(
-            f"{path}: expected an STL file of {max(_binary_size(data), _HEADER_SIZE)} bytes ({count} triangles), "
-            f"found {len(data)}; the file is cut short or no STL, export it again"
-        )
+        size = max(_binary_size(data), _HEADER_SIZE)
+        raise damaged(path, f"an STL file of {size} bytes ({count} triangles)", len(data))
     records = np.frombuffer(data, _RECORD, count=count, offset=_HEADER_SIZE)
     return records["corners"].astype(np.float64).reshape(-1, 3)
 
@@ -78,10 +76,8 @@ def _read_text(data: bytes, path: Path) -> tuple[Float[np.ndarray, "C 3"], tuple
         index[b"".join(line.split(None, 1)[:1]).lower()].append(i)
     facets, corners, solids, closed = index[b"facet"], index[b"vertex"], index[b"solid"], len(index[b"endfacet"])
     if len(corners) != 3 * len(facets) or closed != len(facets):
-        raise InputError(
-            f"{path}: expected three vertex lines and one endfacet for each of {len(facets)} facets, "
-            f"found {len(corners)} and {closed}; the file is cut short, export it again"
-        )
+        expected = f"three vertex lines and one endfacet for each of {len(facets)} facets"
+        raise damaged(path, expected, f"{len(corners)} and {closed}")
     read_numbers(lines, facets, 2, 3, path)  # only checks the normals
     soup = read_numbers(lines, corners, 1, 3, path)
     if len(solids) < 2:

@@ -1,4 +1,4 @@
-"""Read numbers of text formats in bulk, and replace numbers in lines whose other characters stay."""
+"""Read numbers of text formats in bulk, and files of markers; replace numbers in lines whose other characters stay."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float, Int
 
-from ..core.errors import InputError
+from ..core.errors import InputError, damaged
+from ..core.system import refuse_pipe
 
 _GAP = rb"(?:\s|\\\r?\n|\\\r)+"  # white space, or a backslash that continues the line
 _WORD = rb"[^\s\\#]+"
@@ -97,10 +98,7 @@ def read_numbers(
         return read_numbers([_WINDOWS_NAN.sub(b"nan", line) for line in kept], range(len(kept)), skip, count, path)
     wrong = next(i for i, row in zip(index, rows, strict=True) if len(row) != count or not _are_numbers(row))
     found = lines[wrong].strip().decode("utf-8", "replace")[:60]
-    raise InputError(
-        f"{path}: expected {count} numbers in line {line_number(lines, wrong)}, found {found!r}; "
-        "the file is damaged or cut short, export it again"
-    )
+    raise damaged(path, f"{count} numbers in line {line_number(lines, wrong)}", repr(found))
 
 
 def replace_rows(
@@ -123,3 +121,36 @@ def _are_numbers(words: Sequence[bytes]) -> bool:
         return all(isinstance(float(word), float) for word in words)
     except ValueError:
         return False
+
+
+MOST_DIGITS = 18
+"""Digits of a number: any of so many fits into an integer of 64 bits."""
+
+
+def load_markers(path: Path) -> Int[np.ndarray, "M 2"]:
+    """Read a vertex index of the identity and one of the driving mesh from each line, from 0; `#` starts a comment.
+
+    Raises:
+        InputError: no such file, no pairs in it, or a line that is not two whole numbers.
+    """
+    refuse_pipe(path)
+    if not path.is_file():
+        raise InputError(f"{path}: expected a file of markers, found none; check the path")
+    rows = []
+    for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), 1):
+        words = line.partition("#")[0].split()
+        if not words:
+            continue
+        if len(words) != 2 or not all(_is_number(word) for word in words):
+            raise InputError(
+                f"{path}, line {number}: expected the numbers of an identity's and a driving vertex, "
+                f"found {line.strip()[:40]!r}; correct that line"
+            )
+        rows.append([int(word) for word in words])
+    if not rows:
+        raise InputError(f"{path}: expected one pair of vertices a line, found no line; write 5 or more")
+    return np.array(rows)
+
+
+def _is_number(word: str) -> bool:
+    return word.isascii() and word.isdigit() and len(word) <= MOST_DIGITS

@@ -212,7 +212,6 @@ def batch(
 
 
 def _common_folder(jobs: Sequence[BatchJob]) -> Path:
-    """Return the folder that all outputs lie below."""
     try:
         common = Path(os.path.commonpath([Path(job.output).resolve().parent for job in jobs]))
     except ValueError as error:  # several drives
@@ -225,7 +224,6 @@ def _common_folder(jobs: Sequence[BatchJob]) -> Path:
 
 
 def _do_tasks(tasks: Sequence[BatchTask], outcomes: list[dict[str, Any]], workers: int, report: Report | None) -> None:
-    """Have the jobs done that are left, and put their outcomes in place."""
     left = {k: task for k, task in enumerate(tasks) if outcomes[k]["state"] == NOT_RUN}
     before = len(tasks) - len(left)
     if report is not None:
@@ -293,7 +291,6 @@ def _digest(path: Path, *_: int) -> str:
 
 
 def _written(job: BatchJob) -> dict[str, list[str]]:
-    """Return digests of all that a job has written."""
     return {str(path): _contents(path) for path in job.outputs()}
 
 
@@ -336,7 +333,6 @@ def do_task(task: BatchTask) -> dict[str, Any]:
 
 
 def _do_job(task: BatchTask, begin: float) -> dict[str, Any]:
-    """Do a job, write its record, and return its outcome."""
     path, job = record_path(task.job), task.job
     if "no-clobber" in dict(job.options) and _record(job):  # what this batch has made may be replaced
         job = replace(job, options=tuple(option for option in job.options if option[0] != "no-clobber"))

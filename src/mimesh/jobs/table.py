@@ -21,10 +21,9 @@ from typing import Any
 import typer
 
 from ..commands import move
-from ..commands.capture import capture
-from ..commands.clips import check_clip_output, check_suffix
+from ..commands.joints import capture, rig
+from ..commands.move import check_clip_output, check_suffix
 from ..commands.options import ShapeOptions, options_of
-from ..commands.rig import rig
 from ..commands.terminal import SEPARATORS, output_path, refuse_inputs
 from ..core.arguments import described
 from ..core.errors import InputError, NotInstalledError, did_you_mean, option
@@ -172,7 +171,6 @@ def _all_pairs(identities: Any, drivings: Any, output: str | Path | None, comman
 
 
 def _each_file(inputs: Any, output: str | Path | None, command: str) -> list[Row]:
-    """Return a row for each mesh, or each clip."""
     (name,) = INPUTS[command]
     if output is None:
         pattern = "-o 'out/{identity}.glb'" if command == "rig" else "-o 'out/{driving}.bvh'"
@@ -199,7 +197,6 @@ def _table_rows(path: Path) -> list[Row]:
 
 
 def _given_rows(rows: Any) -> list[Row]:
-    """Return the rows of a program, which must be a list of dictionaries."""
     if isinstance(rows, Mapping) or not isinstance(rows, Sequence):
         raise InputError(f"identities: expected a list of dictionaries, or a path, found {described(rows)}; give [job]")
     for row in rows:
@@ -214,7 +211,6 @@ def _given_rows(rows: Any) -> list[Row]:
 def _job(
     number: int, where: str, row: Mapping[Any, Any], options: Mapping[str, str], pattern: str | None, command: str
 ) -> BatchJob:
-    """Return the job of a row."""
     if None in row:  # what csv.DictReader makes of values beyond the last column
         raise InputError(f"{where}: expected as many values as columns, found more; quote values that have commas")
     clips = row.get("driving")
@@ -248,9 +244,6 @@ def find_files(text: str, suffixes: Sequence[str], what: str) -> list[str]:
     """List what a folder, a pattern with wildcards or the path of a file stands for, sorted.
 
     A folder stands for the files in it that have one of the suffixes; folders that a pattern finds are clips of frames.
-
-    Raises:
-        InputError: there is nothing of that kind.
     """
     path = Path(text)
     if path.is_dir():
@@ -280,10 +273,6 @@ def filled(pattern: str, inputs: Mapping[str, str], number: int) -> str:
     Args:
         pattern: with names in braces: those of the inputs, and number.
         inputs: what an input is, as in INPUTS -> its path.
-        number: that of the job, from 1.
-
-    Raises:
-        InputError: the pattern has other names in braces.
     """
     values = {name: file_stem(path) for name, path in inputs.items()} | {"number": number}
     names = _names(pattern)
@@ -296,7 +285,6 @@ def filled(pattern: str, inputs: Mapping[str, str], number: int) -> str:
 
 
 def _names(pattern: str) -> set[str]:
-    """Return the names in braces of a pattern of outputs."""
     try:
         return {name for _, name, _, _ in string.Formatter().parse(pattern) if name is not None}
     except ValueError:
@@ -343,11 +331,7 @@ def _option_words(command: str, options: tuple[tuple[str, str], ...]) -> list[st
 
 @cache
 def option_values(command: str, options: tuple[tuple[str, str], ...]) -> dict[str, Any]:
-    """Parse and check options as the command does: parameter -> value. Many jobs have the same ones.
-
-    Raises:
-        InputError: an option does not exist, its value is not of its kind, or the method cannot use it.
-    """
+    """Parse and check options as the command does: parameter -> value. Many jobs have the same ones."""
     words = [*_option_words(command, options), "--", *INPUTS[command]]
     try:
         # What an option sets, such as --no-limits, does not outlast the parsing.
@@ -369,11 +353,7 @@ def option_values(command: str, options: tuple[tuple[str, str], ...]) -> dict[st
 
 
 def run_command(job: BatchJob) -> dict[str, Any]:
-    """Run the command of a job and return the facts that it prints with --json.
-
-    Raises:
-        InputError: as the command.
-    """
+    """Run the command of a job and return the facts that it prints with --json."""
     command, words = _parsers()[job.command], _option_words(job.command, job.options)
 
     def run() -> dict[str, Any]:
@@ -385,11 +365,7 @@ def run_command(job: BatchJob) -> dict[str, Any]:
 
 
 def check_jobs(jobs: Sequence[BatchJob], more_inputs: Sequence[Path], more_outputs: Sequence[Path]) -> None:
-    """Check jobs, and the files that a batch reads and writes besides theirs. Meshes are not read.
-
-    Raises:
-        InputError: some jobs cannot be done; the message names up to MOST_SHOWN errors and says how many there are.
-    """
+    """Check jobs, and the files that a batch reads and writes besides theirs. Meshes are not read."""
     places: defaultdict[str, list[tuple[str, str]]] = defaultdict(list)
     not_installed = cache(_not_installed)  # pairs have the same files again and again, which may have to be opened
     for job in jobs:

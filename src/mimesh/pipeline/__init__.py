@@ -130,7 +130,7 @@ def animate(
         (4, 502, 3)
         >>> saved = moving.save_skinned("walking.glb")
     """
-    from .odd_frames import far_frames_note, first_frame_note
+    from .read import far_frames_note, first_frame_note
 
     timer = Timer()
     with timer.step("load"):
@@ -233,7 +233,7 @@ def _model(model: str | Path | Mime | Method, meshes: tuple[Mesh, Mesh], options
     name, pairing = str(model), options.pairing
     ordered = ordered_weights(name)
     if pairing == "auto" and ordered is not None and ordered.is_file():
-        from .same_mesh import same_triangles
+        from .vertex_route import same_triangles
 
         pairing = "order" if same_triangles(*meshes) else pairing
     reference = None if options.reference is None else read_mesh(options.reference, "reference")
@@ -260,7 +260,7 @@ def _known(hints: Hints, model: Model, clip: Clip, whole: Clip | None = None) ->
 def _markers(markers: ArrayLike | str | Path) -> Int[np.ndarray, "M 2"]:
     """Read pairs of vertices that correspond, or check those in memory."""
     if isinstance(markers, (str, Path)):
-        from ..io.markers import load_markers
+        from ..io.text import load_markers
 
         return load_markers(Path(markers))
     try:

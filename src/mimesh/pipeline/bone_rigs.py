@@ -125,11 +125,7 @@ class BoneJoints:
         return replace(self, T_world_joint=self.T_world_joint[frames])
 
     def person(self) -> PersonMotion:
-        """Read the joints of a person or an animal, as `body` says.
-
-        Raises:
-            InputError: as `rig_of_bones`, or NaN or infinity in a frame.
-        """
+        """Read the joints of a person or an animal, as `body` says."""
         _check_finite(self.T_world_joint, self.bones.name)
         rig = rig_of_bones(self.mesh, self.bones, self.binding, self.up, self.front, self.body)
         place = {name: j for j, name in enumerate(self.bones.joint_names)}
@@ -185,7 +181,6 @@ def _skeleton(
 
 
 def _scaled(clip: Clip, motion: PersonMotion, scale: float) -> tuple[Clip, PersonMotion]:
-    """Scale a clip and its joints about the origin."""
     mesh = replace(clip.mesh, vertices=scale * clip.mesh.vertices)
     for frame in clip.vertices:  # may be on disk
         frame *= scale

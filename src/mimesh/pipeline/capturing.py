@@ -1,5 +1,7 @@
 """`mimesh.capture`: read the motion of joints out of a clip of surfaces: scans, caches, another character's animation.
 
+`mimesh.retarget` lets a mesh that has been rigged move as a clip that has been captured.
+
 Joints that the file has are taken as they are; otherwise `mime` finds them on the surface of a few frames, and follows
 them through all others.
 """
@@ -7,7 +9,9 @@ them through all others.
 from __future__ import annotations
 
 import dataclasses
+import math
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, cast
 
@@ -15,37 +19,37 @@ import numpy as np
 from jaxtyping import Float
 
 from ..bodies.hands import straight_hands
-from ..bodies.joint_names import parents_first
-from ..core.arguments import public
-from ..core.errors import InputError, option
+from ..bodies.joint_names import SIDES, finger_joints, parents_first
+from ..core.arguments import described, public
+from ..core.errors import InputError, RefusedMeshError, option
 from ..core.foot_planting import FEWEST_FRAMES, find_contacts
 from ..core.frame_buffer import Progress
 from ..core.geometry import turned
 from ..core.joint_tracks import JointTrack
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization, turn
-from ..core.options import FrameRange, Hints
+from ..core.options import FrameRange, Hints, MotionOptions
 from ..core.rig import local_rotations
 from ..core.soles import SolePoints
 from ..io import joints_file, save_joint_motion, save_vrma
 from ..io.gltf.edit import GltfSource
 from ..io.gltf.skinned import write_gltf_joints
 from ..methods.find import find_mime
-from ..mime.model import Mime
+from ..mime.model import CapturedMotion, Mime
 from ..motions.bone_motion import BoneMotion
 from ..motions.retarget import NEEDED
 from ..rigs.character import names_above
-from ..rigs.retarget import JointMotion, body_parents
-from .joint_route import FoundMotion, find_motion, found_alone, rigs_alone
+from ..rigs.retarget import JointMotion, Retarget, body_parents
+from .joint_route import FoundCharacter, FoundMotion, JointRoute, find_motion, found_alone, rigs_alone
 from .known import Known
-from .look import Look
-from .odd_frames import far_frames_note
-from .parts import find_part
-from .placed import check_identity, first_frame
-from .read import read_frames
+from .look import KINDS, Look, normalised
+from .parts import PartRoute, find_part
+from .placed import check_identity, first_frame, surface_motion, with_up
+from .read import far_frames_note, read_frames
 from .report import CaptureReport, facing, facing_note
-from .result import Timer
-from .vrma import check_joints, since_t_pose
+from .result import ClipResult, Timer
+from .rigging import RiggedMesh
+from .vrm import check_joints, since_t_pose
 
 JOINT_FILES = (".bvh", ".fbx", ".glb", ".gltf", ".vrma")
 """Suffixes of files of joints alone."""
@@ -270,3 +274,70 @@ def _contacts(track: JointTrack, motion: JointMotion) -> dict[str, dict[str, lis
     found = find_contacts(track.without_hands(track.soles.shape[1] - len(feet)), motion.leg)
     intervals = [[] for _ in feet] if found is None else found.intervals(track.fps)
     return {"contacts": dict(zip(feet, intervals, strict=True))}
+
+
+UNCHANGED = MotionOptions()
+
+
+@public
+def retarget(
+    captured: CapturedClip, rigged: RiggedMesh, *, motion: MotionOptions = UNCHANGED, progress: Progress | None = None
+) -> ClipResult:
+    """Let a rigged mesh follow a captured motion: `animate` with both meshes looked at before.
+
+    One capture moves many meshes, and one rig follows many captures, without finding joints again. What both files
+    have by other names than those of a person or an animal is not copied, as `animate` does it.
+
+    Args:
+        captured: the motion, of `mimesh.capture`.
+        rigged: the mesh with its joints, of `mimesh.rig`.
+        motion: how joints move.
+        progress: is called with the frames done and the frames in all.
+
+    Returns:
+        The mesh in every frame, in its own axes, unit and order, with a report and notes.
+
+    Raises:
+        RefusedMeshError: the joints of the one are a person's, those of the other a four-legged animal's.
+        InputError: an option cannot be used.
+
+    Example:
+        >>> captured, rigged = mimesh.capture("walk.npz"), mimesh.rig("hero.obj")
+        >>> saved = mimesh.retarget(captured, rigged).save_skinned("hero-walk.glb")
+    """
+    theirs, mine = getattr(captured, "found", None), getattr(rigged, "found", None)
+    if not isinstance(theirs, FoundMotion) or not isinstance(mine, FoundCharacter):
+        raise InputError(
+            "retarget: expected what mimesh.capture gives, then what mimesh.rig gives, found "
+            f"{described(captured)} and {described(rigged)}; give mimesh.capture(clip), mimesh.rig(mesh)"
+        )
+    if rigged.body != captured.body:
+        raise RefusedMeshError(
+            f"{captured.name}, {rigged.mesh.name}: expected two people or two four-legged animals, found "
+            f"{KINDS[captured.body]} and {KINDS[rigged.body]}; give another of the two"
+        )
+    mesh = rigged.mesh if mine.part is None else mine.part.mesh
+    follow = _follow(mine, theirs, mesh)
+    norms, rigs = (mine.norm, theirs.norm), dataclasses.replace(mine.rigs, driving=theirs.rigs.driving)
+    rest = normalised(mesh, mine.norm)
+    identity = with_up(mesh, mine.norm)
+    route = JointRoute(identity, theirs.clip, norms, rest, rigs=rigs, mime=theirs.network, retarget=follow)
+    motion = dataclasses.replace(motion, smooth=math.hypot(motion.smooth, theirs.smooth))  # two Gaussian filters
+    timer = Timer()
+    way = route if mine.part is None else PartRoute(route, mine.part, None)
+    moved = way.play(timer, motion, progress, np.float32)
+    for which, report in (("identity", rigged.report), ("driving", captured.report)):
+        moved.report[which]["up_from"] = report["up_from"]
+    notes = captured.notes + moved.notes
+    return moved.clip_result(way.identity, theirs.clip, theirs.network.name, timer, notes)
+
+
+def _follow(mine: FoundCharacter, theirs: FoundMotion, mesh: Mesh) -> Retarget:
+    """Let the character follow the motion, with the fingers of hands on which the driving's move."""
+    known = dataclasses.replace(theirs.motion, track=theirs.track)
+    if mine.rigs.humanoid is not None or not isinstance(theirs.motion, CapturedMotion):
+        fingers = any(finger_joints(side)[0] in known.joints for side in SIDES)
+        return Retarget.of(mine.character if fingers else mine.plain, known)
+    surface = partial(surface_motion, theirs.clip, theirs.norm)
+    fingered, motion = theirs.network.with_fingers(mine.plain, normalised(mesh, mine.norm), theirs.motion, surface)
+    return Retarget.of(fingered, known if fingered is mine.plain else motion)

@@ -74,7 +74,7 @@ class Rigs:
         from ..io.gltf import still_joints
         from ..io.gltf.own_rig import GltfJoints, has_rig, read_own_rig
         from ..motions.bvh import scales_notes
-        from .gltf_rigs import beside_person, copied_motion, if_usable, person_motion, shared_motion
+        from .gltf_rigs import beside_person, copied_motion, if_usable, person_motion
 
         own = shared = None
         notes: tuple[str, ...] = ()
@@ -84,8 +84,7 @@ class Rigs:
             if body != OTHER:
                 own, notes, unnamed = if_usable(lambda of: read_own_rig(identity, find[0], of), body, without)
             notes += () if own is None else own.notes
-            shared = shared_motion(identity, clip)
-            copied = copied_motion(identity, clip, shared, own)
+            shared, copied = copied_motion(identity, clip, own)
             if copied is not None and copy:
                 return cls(own, copied=copied)
             only_copied = copied is not None and own is None

@@ -57,20 +57,17 @@ def person_motion(joints: JointSource, body: str) -> PersonMotion:
     raise NotUpright("expected joints of a person, found those of an animal")
 
 
-def shared_motion(identity: Mesh, clip: Clip) -> SharedMotion | None:
-    """Find the animated values of nodes that both files have; None if their skeletons are not alike."""
+def copied_motion(identity: Mesh, clip: Clip, own: OwnRig | None) -> tuple[SharedMotion | None, SharedMotion | None]:
+    """Find the animated values of nodes that both files have, None if their skeletons are not alike.
+
+    Returns also those that are copied as they are: of joints of the same skeleton, or morph targets of the same file.
+    """
     if not isinstance(clip.skeleton, GltfJoints) or not isinstance(identity.source, GltfSource):
-        return None
-    return copy_motion(identity.source, clip.skeleton)
-
-
-def copied_motion(identity: Mesh, clip: Clip, shared: SharedMotion | None, own: OwnRig | None) -> SharedMotion | None:
-    """Select the values that are copied as they are: joints of the same skeleton, or morph targets of the same file."""
+        return None, None
+    shared = copy_motion(identity.source, clip.skeleton)
     if shared is not None and (shared.same_rest or (shared.alike and own is None)):
-        return shared
-    if not isinstance(clip.skeleton, GltfJoints) or not isinstance(identity.source, GltfSource):
-        return None
-    return copy_morphs(identity.source, clip.skeleton)
+        return shared, shared
+    return shared, copy_morphs(identity.source, clip.skeleton)
 
 
 class RigFacts(NamedTuple):

@@ -31,41 +31,12 @@ from ..mime.model import CapturedMotion, FittedJoints, Mime
 from ..mime.prediction import face_outward
 from ..rigs.character import Character
 from ..rigs.retarget import JointMotion, Pose, Retarget, ScannedJoints
-from .corrections import Corrections
+from . import look, placed
 from .file_rigs import Rigs, heading_note, read_rigs
-from .known import Known
-from .look import (
-    OTHER,
-    REJECTION_THRESHOLD,
-    Look,
-    Subject,
-    agreed,
-    check_known_body,
-    different_kinds,
-    facing_front,
-    finds_joints,
-    joint_finder,
-    known_look,
-    look,
-    normalised,
-    other_body,
-    reorient,
-    second_look,
-)
-from .placed import (
-    KEYFRAMES,
-    FoundJoints,
-    Moved,
-    Placed,
-    first_frame,
-    keyframes_of,
-    surface_motion,
-    surface_report,
-    with_up,
-)
+from .known import Corrections, Known
 from .refine import Refinement
 from .report import TransferReport, fingered_hands, torn_note
-from .result import Timer
+from .result import Precision, Timer
 
 if TYPE_CHECKING:
     from ..io.gltf.own_animation import OwnAnimation
@@ -75,7 +46,7 @@ Found = TypeVar("Found", Character, JointMotion, FittedJoints)
 
 
 @dataclass(frozen=True, eq=False)
-class JointRoute(Placed):
+class JointRoute(placed.Placed):
     """A character and a motion that it follows."""
 
     mime: Mime = field(kw_only=True)
@@ -105,22 +76,18 @@ class JointRoute(Placed):
         """How far up frames go that are made one by one; see `Retarget.lift`."""
         return self.retarget.lift_of_frames(self.clip, self.norms[1])
 
-    def joints(self, t: int) -> FoundJoints:
+    def joints(self, t: int) -> placed.FoundJoints:
         """Return the joints of the identity, and of the driving in a frame."""
         character, motion = self.retarget.character, self.retarget.motion
         identity = self.norms[0].undo(character.rig.joints)
         driving = self.norms[1].undo(motion.pose(t, self.driving_frame(t))[1])
         mine = without_fingers({name: identity[j] for name, j in character.roles.items()})
         theirs = without_fingers(dict(zip(motion.joints, driving, strict=True)))
-        return FoundJoints(body_of_joints(motion.joints), mine, theirs)
+        return placed.FoundJoints(body_of_joints(motion.joints), mine, theirs)
 
     def play(
-        self,
-        timer: Timer,
-        options: MotionOptions,
-        progress: Progress | None = None,
-        dtype: type[np.floating] = np.float64,
-    ) -> Moved:
+        self, timer: Timer, options: MotionOptions, progress: Progress | None = None, dtype: Precision = np.float64
+    ) -> placed.Moved:
         """Move the joints in all frames, and report."""
         identity, clip = self.identity, self.clip
         with timer.step("drive"):
@@ -132,7 +99,11 @@ class JointRoute(Placed):
             track, notes = measured.smoothed(options.smooth), ()
             if options.ground:
                 standing = retarget.standing(track)
-                notes = () if standing is track else (no_path_note(clip.mesh.name),)
+                if standing is not track:
+                    notes = (
+                        f"{clip.mesh.name} does not move its hips from their place: the lowest sole stands on the "
+                        f"floor in every frame; {option('ground', False)} leaves the hips at one height",
+                    )
                 track = standing
             across = self.norms[1].radius / self.norms[0].radius if options.root == "keep" else None
             posed = retarget.posed_joints(track, across, options.root == "drop", options.ground, options.contacts)
@@ -143,7 +114,7 @@ class JointRoute(Placed):
             moved = route.made_frames(posed, shift, own, np.dtype(dtype))
             if len(clip) == 1:
                 moved = moved.kept()
-            report = surface_report(identity, moved, self.facings)
+            report = placed.surface_report(identity, moved, self.facings)
         report |= {"body": self.mime.body} | ({} if self.rigs.humanoid is None else {"rig": "own"})
         notes += report_confidence(retarget, report, self.names)
         notes += torn_note(report, identity.name, self.rigs.humanoid is None, skeleton)
@@ -154,7 +125,7 @@ class JointRoute(Placed):
             report["influence_deviation"] = self._influence_deviation(retarget, posed)
         positions = self.norms[1].undo(measured.positions[0])
         driving_joints = without_fingers(dict(zip(retarget.motion.joints, positions, strict=True)))
-        return Moved(moved, skeleton, own, cast(TransferReport, report), notes, driving_joints)
+        return placed.Moved(moved, skeleton, own, cast(TransferReport, report), notes, driving_joints)
 
     def turned(self, posed: PosedJoints, t: int) -> Float[np.ndarray, "V 3"]:
         """Make a frame, refined, with the driving's heading."""
@@ -220,7 +191,7 @@ class JointRoute(Placed):
     def _influence_deviation(self, limited: Retarget, posed: PosedJoints) -> float:
         """Measure how far vertices are from where all their weights take them, over the longest side of the mesh."""
         largest = 0.0
-        for t in evenly_spread(len(self.clip), KEYFRAMES):
+        for t in evenly_spread(len(self.clip), placed.KEYFRAMES):
             pose = posed.rotation[t], posed.root[t]
             difference = limited.character.posed(*pose) - self.retarget.character.posed(*pose)
             largest = max(largest, float(np.linalg.norm(difference, axis=-1).max()))
@@ -258,14 +229,6 @@ class FoundMotion:
     network: Mime
 
 
-def no_path_note(name: str) -> str:
-    """Tell what is done with a driving that has no path of the hips."""
-    return (
-        f"{name} does not move its hips from their place: the lowest sole stands on the floor in every frame; "
-        f"{option('ground', False)} leaves the hips at one height"
-    )
-
-
 def report_confidence(retarget: Retarget, report: dict[str, Any], names: tuple[str, str]) -> tuple[str, ...]:
     """Add the confidences of joints that were found to the report, and return notes on low ones."""
     notes: tuple[str, ...] = ()
@@ -278,47 +241,47 @@ def report_confidence(retarget: Retarget, report: dict[str, Any], names: tuple[s
 
 
 def joint_route(identity: Mesh, clip: Clip, mime: Mime, known: Known, rigs: Rigs) -> JointRoute:
-    """Find the joints of both meshes, and let the identity's follow the driving's.
-
-    Raises:
-        InputError: an axis, the body or the corrections cannot be used.
-        RefusedMeshError: a mesh looks like none of the bodies, or the two are of different kinds.
-    """
-    first, asked = first_frame(clip), known.asked_body
+    """Find the joints of both meshes, and let the identity's follow the driving's."""
+    first, asked = placed.first_frame(clip), known.asked_body
     subjects = rigs.subjects(identity, first, known.axes)
-    unnamed = any(rigs.unnamed) and finds_joints(mime)
+    unnamed = any(rigs.unnamed) and look.finds_joints(mime)
     try:
-        network, looks = agreed(mime, asked, subjects)
+        network, looks = look.agreed(mime, asked, subjects)
     except RefusedMeshError:
         if not unnamed:
             raise
         network, looks = mime, None  # a tail or a dress may hide the shape of who is known by the joints
-    if unnamed and finds_joints(network):
-        find = joint_finder(network, known.axes[:2]), joint_finder(network, known.axes[2:])
+    if unnamed and look.finds_joints(network):
+        find = look.joint_finder(network, known.axes[:2]), look.joint_finder(network, known.axes[2:])
         rigs = read_rigs(identity, clip, known, find=find).with_notes((identity.name, clip.mesh.name), rigs)
         subjects = rigs.subjects(identity, first, known.axes)
         if looks is None:
-            network, looks = agreed(mime, asked, subjects)
-        looks = known_look(network, subjects[0]), known_look(network, subjects[1])
+            network, looks = look.agreed(mime, asked, subjects)
+        looks = look.known_look(network, subjects[0]), look.known_look(network, subjects[1])
     assert looks is not None
     (character, mine), (motion, theirs) = _found(network, clip, subjects, looks, known, rigs)
     if known.body == "auto" and len(mime.bodies) > 1 and not known.corrections.given:
         confidences = character.confidence, motion.confidence
-        other = other_body(mime, network.body, subjects, confidences)
+        other = look.other_body(mime, network.body, subjects, confidences)
         if other is not None:
-            network, looks = agreed(mime, other, subjects)
+            network, looks = look.agreed(mime, other, subjects)
             (character, mine), (motion, theirs) = _found(network, clip, subjects, looks, known, rigs)
-    rest = normalised(identity, mine)
+    rest = look.normalised(identity, mine)
     if rigs.humanoid is None and isinstance(motion, CapturedMotion):
-        character, motion = network.with_fingers(character, rest, motion, partial(surface_motion, clip, theirs))
+        character, motion = network.with_fingers(character, rest, motion, partial(placed.surface_motion, clip, theirs))
     retarget = Retarget.of(character, motion)
     notes = heading_note(rigs.driving, clip.mesh.name, theirs.front)
-    named = with_up(identity, mine)
+    named = placed.with_up(identity, mine)
     return JointRoute(named, clip, (mine, theirs), rest, rigs=rigs, notes=notes, mime=network, retarget=retarget)
 
 
 def _found(
-    mime: Mime, clip: Clip, subjects: tuple[Subject, Subject], looks: tuple[Look, Look], known: Known, rigs: Rigs
+    mime: Mime,
+    clip: Clip,
+    subjects: tuple[look.Subject, look.Subject],
+    looks: tuple[look.Look, look.Look],
+    known: Known,
+    rigs: Rigs,
 ) -> tuple[tuple[Character, Normalization], tuple[JointMotion, Normalization]]:
     """Find the joints of both meshes, each with the normalisation in which it was recognised."""
     corrections = known.corrections
@@ -331,15 +294,15 @@ def _found(
 def rigs_alone(mime: Mime, identity: Mesh, clip: Clip, known: Known) -> Rigs:
     """Read the rig of a single mesh or clip; joints whose names say nothing are found as for a transfer."""
     rigs = read_rigs(identity, clip, known)
-    if not any(rigs.unnamed) or not finds_joints(mime):
+    if not any(rigs.unnamed) or not look.finds_joints(mime):
         return rigs
-    find = joint_finder(mime, known.axes[:2]), joint_finder(mime, known.axes[2:])
+    find = look.joint_finder(mime, known.axes[:2]), look.joint_finder(mime, known.axes[2:])
     return read_rigs(identity, clip, known, find=find).with_notes((identity.name, clip.mesh.name), rigs)
 
 
 def found_alone(
-    mime: Mime, subject: Subject, asked: str, find: Callable[[Mime, Look], tuple[Found, Normalization]]
-) -> tuple[Look, Found, Normalization]:
+    mime: Mime, subject: look.Subject, asked: str, find: Callable[[Mime, look.Look], tuple[Found, Normalization]]
+) -> tuple[look.Look, Found, Normalization]:
     """Decide which body a single mesh has, and find its joints; what looks like none is refused.
 
     Args:
@@ -350,38 +313,38 @@ def found_alone(
         InputError: a body that joints are not found on.
         RefusedMeshError: the mesh looks neither like a person nor like a four-legged animal.
     """
-    if asked == OTHER:
+    if asked == look.OTHER:
         raise InputError(
             f"{option('body')}: expected {', '.join(NETWORK_OF_BODY)} or auto, found {asked}: joints are found on "
             "people and four-legged animals alone"
         )
     if len(mime.bodies) == 1:
-        check_known_body(mime, asked)
-        seen = known_look(mime, subject)
+        look.check_known_body(mime, asked)
+        seen = look.known_look(mime, subject)
         return seen, *find(mime, seen)
-    seen = look(mime, subject, None if asked == "auto" else asked, quick=True)
+    seen = look.look(mime, subject, None if asked == "auto" else asked, quick=True)
     found, norm = find(mime.of_body(seen.body), seen)
     if asked != "auto" or subject.body is not None:
         return seen, found, norm
-    kind = second_look(mime, seen.body, subject, found.confidence)
+    kind = look.second_look(mime, seen.body, subject, found.confidence)
     if kind is not None and kind != seen.body:
-        seen = look(mime, subject, kind)
+        seen = look.look(mime, subject, kind)
         found, norm = find(mime.of_body(kind), seen)
         # The second look fits it as it stands; found are the joints of what faces the front.
         fit = found.confidence
-        kind = None if fit is not None and fit.fitted and fit.misfit > REJECTION_THRESHOLD else kind
+        kind = None if fit is not None and fit.fitted and fit.misfit > look.REJECTION_THRESHOLD else kind
     if kind is None:
-        raise RefusedMeshError(different_kinds([None, None], (subject, subject)))
+        raise RefusedMeshError(look.different_kinds([None, None], (subject, subject)))
     return seen, found, norm
 
 
 def find_character(
-    mime: Mime, subject: Subject, seen: Look, rigs: Rigs, corrections: Corrections
+    mime: Mime, subject: look.Subject, seen: look.Look, rigs: Rigs, corrections: Corrections
 ) -> tuple[Character, Normalization]:
     """Find the joints of a mesh: those of its file if they are used, else on its surface."""
 
     def character(norm: Normalization) -> Character:
-        mesh = normalised(subject.mesh, norm)
+        mesh = look.normalised(subject.mesh, norm)
         if rigs.humanoid is not None:
             return Character.of_file(rigs.humanoid, norm, mesh.vertices)
         return mime.rig(mesh, corrections.of_identity(subject.mesh, mime.joints, norm))
@@ -390,8 +353,8 @@ def find_character(
 
 
 def found_character(
-    mime: Mime, subject: Subject, asked: str, rigs: Rigs, corrections: Corrections
-) -> tuple[Look, Character, Normalization]:
+    mime: Mime, subject: look.Subject, asked: str, rigs: Rigs, corrections: Corrections
+) -> tuple[look.Look, Character, Normalization]:
     """Decide which body a single mesh has, and find its joints, as `found_alone`; for `mimesh rig` and `look`."""
     return found_alone(
         mime, subject, asked, lambda network, seen: find_character(network, subject, seen, rigs, corrections)
@@ -399,23 +362,25 @@ def found_character(
 
 
 def find_motion(
-    mime: Mime, clip: Clip, subject: Subject, seen: Look, rigs: Rigs, corrections: Corrections
+    mime: Mime, clip: Clip, subject: look.Subject, seen: look.Look, rigs: Rigs, corrections: Corrections
 ) -> tuple[JointMotion, Normalization]:
     """Find the joints of a clip: those of its file if they are used, else on its surface."""
 
     def motion(norm: Normalization) -> JointMotion:
         if rigs.driving is not None:
-            mesh = face_outward(normalised(subject.mesh, norm))
+            mesh = face_outward(look.normalised(subject.mesh, norm))
             found, skeleton = JointMotion.of_file(rigs.driving, mesh, clip.fps, norm), clip.skeleton
             confidence = skeleton.confidence if isinstance(skeleton, ScannedJoints) else None
             return dataclasses.replace(found, confidence=confidence)
-        corrected, keyframes = corrections.of_driving(keyframes_of(clip, norm), mime.joints, norm)
+        corrected, keyframes = corrections.of_driving(placed.keyframes_of(clip, norm), mime.joints, norm)
         return mime.capture(keyframes, corrected)
 
     return _settled(mime, subject, seen, motion)
 
 
-def find_pose(mime: Mime, subject: Subject, seen: Look, near: Pose | None = None) -> tuple[FittedJoints, Normalization]:
+def find_pose(
+    mime: Mime, subject: look.Subject, seen: look.Look, near: Pose | None = None
+) -> tuple[FittedJoints, Normalization]:
     """Find the joints on the surface of a mesh, whatever its file has, without what they move.
 
     Args:
@@ -424,20 +389,20 @@ def find_pose(mime: Mime, subject: Subject, seen: Look, near: Pose | None = None
 
     def fitted(norm: Normalization) -> FittedJoints:
         start = near and (norm.rotation @ near[0], norm.apply(near[1]))
-        return mime.fit_near(normalised(subject.mesh, norm), start)
+        return mime.fit_near(look.normalised(subject.mesh, norm), start)
 
     return _settled(mime, subject, seen, fitted)
 
 
 def _settled(
-    mime: Mime, subject: Subject, seen: Look, find: Callable[[Normalization], Found]
+    mime: Mime, subject: look.Subject, seen: look.Look, find: Callable[[Normalization], Found]
 ) -> tuple[Found, Normalization]:
     """Find the joints of a mesh; where it is not recognised, once more in the axes that a prediction shows."""
     mesh, axes, norm = subject.mesh, subject.axes, seen.norm
-    turned = seen.front or facing_front(mime, mesh, norm, subject.knows_front)[0]
+    turned = seen.front or look.facing_front(mime, mesh, norm, subject.knows_front)[0]
     found = find(turned)
-    corrected = reorient(mime, mesh, norm, axes, found.confidence)
+    corrected = look.reorient(mime, mesh, norm, axes, found.confidence)
     if corrected is norm:
         return found, turned
-    turned, _ = facing_front(mime, mesh, corrected, known=True)
+    turned, _ = look.facing_front(mime, mesh, corrected, known=True)
     return find(turned), turned

@@ -141,22 +141,21 @@ class LiveSession:
 
 
 def live_session(found: Route | PartRoute, model: str, root: str, threads: int | None) -> LiveSession:
-    """Make the session of a route.
-
-    Args:
-        model: name of the model.
-        root: as in `animate`.
-        threads: of linear algebra; None leaves them as they are.
-
-    Raises:
-        InputError: the method looks at more than one frame at a time.
-    """
+    """Make the session of a route."""
     parts = found if isinstance(found, PartRoute) else None
     route = found.route if isinstance(found, PartRoute) else found
     assert not isinstance(route, NodeRoute)  # `find_route` makes none for live frames
     first, limit = route.driving_frame(0), limited_threads(threads)
     with limit():
-        pose = _pose_function(route, first, root)
+        if isinstance(route, VertexRoute):
+            moved = _step(route.drive, first, route.names[1], route.method.name)
+        else:
+            scale = route.norms[1].radius / route.norms[0].radius
+            moved = _follow_joints(route.retarget, first, scale if root == "keep" else None, root == "drop")
+
+        def pose(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
+            return route.refined(moved(vertices))
+
         lift = route.lift_of_frames if isinstance(route, JointRoute) else None
         shift = route.shift(pose(first) @ route.turn.T, lift)
     report, notes = _report(route)
@@ -181,16 +180,6 @@ def limited_threads(threads: int | None) -> Callable[[], AbstractContextManager]
 
     libraries = ThreadpoolController().select(user_api="blas")
     return lambda: libraries.limit(limits=threads)
-
-
-def _pose_function(route: JointRoute | VertexRoute, first: Float[np.ndarray, "U 3"], root: str) -> PoseFrame:
-    """Return the function that makes a frame of the result."""
-    if isinstance(route, VertexRoute):
-        pose = _step(route.drive, first, route.names[1], route.method.name)
-    else:
-        scale = route.norms[1].radius / route.norms[0].radius
-        pose = _follow_joints(route.retarget, first, scale if root == "keep" else None, root == "drop")
-    return lambda vertices: route.refined(pose(vertices))
 
 
 def _follow_joints(

@@ -258,8 +258,6 @@ def other_body(
     """Return the body that both meshes have after all, where it is not the one that they were taken for.
 
     Args:
-        mime: knows all bodies.
-        taken: the body that was fitted to both.
         confidences: of these fits; None of a mesh whose file has the joints.
 
     Raises:
@@ -401,10 +399,6 @@ def oriented_predictions(mime: Mime, mesh: Mesh, norm: Normalization, axes: UpFr
     """Predict once in each of the 24 orientations that the axes of the user and the file allow.
 
     These are 4 where up is known, 1 where front is, too.
-
-    Args:
-        norm: the present normalisation.
-        axes: up and front as the user gave them.
     """
     up, front = parse_axis(axes[0], option("up")), parse_axis(axes[1], option("front"))
     up = norm.up if norm.up_from == "file" else up
@@ -472,11 +466,7 @@ def finds_joints(mime: Mime) -> bool:
 
 
 def joint_finder(mime: Mime, axes: UpFront) -> FindJoints:
-    """Make the function that finds the joints of a rig whose names say nothing, by the surface that they move.
-
-    Args:
-        axes: up and front of the character; None is detected.
-    """
+    """Make the function that finds the joints of a rig whose names say nothing, by the surface that they move."""
 
     def find(rig: SkinnedCharacter) -> dict[str, int]:
         for shown in (rig, *without_tails(rig)):

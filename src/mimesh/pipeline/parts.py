@@ -18,14 +18,14 @@ from jaxtyping import Bool, Float, Int
 from ..core.animated_rig import AnimatedRig
 from ..core.errors import InputError, option
 from ..core.frame_buffer import LazyFrames, Progress
-from ..core.geometry import edges, face_areas, links, weld
+from ..core.geometry import component_labels, edges, face_areas, weld
 from ..core.mesh import Clip, Mesh, chosen_faces
 from ..core.normalization import flat_side, opposite
 from ..core.options import MotionOptions
 from ..core.printable import listed
 from ..io.formats import may_have_joints
 from .placed import FoundJoints, Moved
-from .result import Timer
+from .result import Precision, Timer
 
 if TYPE_CHECKING:
     from ..io.gltf.edit import GltfSource
@@ -120,11 +120,7 @@ class PartRoute:
         return self.route.joints(t)
 
     def play(
-        self,
-        timer: Timer,
-        options: MotionOptions,
-        progress: Progress | None = None,
-        dtype: type[np.floating] = np.float64,
+        self, timer: Timer, options: MotionOptions, progress: Progress | None = None, dtype: Precision = np.float64
     ) -> Moved:
         """Move the part in all frames, and report."""
         moved = self.route.play(timer, options, progress, dtype)
@@ -185,11 +181,9 @@ def _without_base(mesh: Mesh, asked: str) -> MeshPart | None:
     side, lying = flat_side(mesh)
     if side is None or mesh.up not in (None, opposite(side)):
         return None
-    from scipy.sparse.csgraph import connected_components
-
     merged, position = weld(mesh.vertices)
     faces = position[mesh.faces]
-    component = connected_components(links(edges(faces), len(merged)), directed=False)[1][faces[:, 0]]
+    component = component_labels(edges(faces), len(merged))[faces[:, 0]]
     area = face_areas(mesh.vertices, mesh.faces)
     flat = np.bincount(component[lying], area[lying], component.max() + 1) / np.bincount(component, area).clip(1e-30)
     base = flat[component] > BASE_FLAT  # soles on a floor may be in its side, too
@@ -233,7 +227,6 @@ def _named(mesh: Mesh, name: str, asked: str) -> Bool[np.ndarray, " P"]:
 
 
 def _cut(mesh: Mesh, chosen: Bool[np.ndarray, " P"]) -> MeshPart:
-    """Make a mesh of some of the parts of another."""
     faces = np.concatenate([np.arange(p.start, p.stop) for p, take in zip(mesh.parts, chosen, strict=True) if take])
     if _gltf_source(mesh) is not None:
         from ..io.gltf.parts import gltf_part

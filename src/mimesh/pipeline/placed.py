@@ -153,11 +153,7 @@ class Placed:
         return facing(self.norms[0]), facing(self.norms[1])
 
     def all_notes(self, keeps_file: bool) -> tuple[str, ...]:
-        """Return the notes, and those on uncertain axes, on rigs that are not used, and on the identity's file.
-
-        Args:
-            keeps_file: nothing in the file of the identity gets lost.
-        """
+        """Return the notes, and those on uncertain axes, on rigs that are not used, and on the identity's file."""
         notes = facing_note(self.norms[0], self.names[0], "front")
         notes += facing_note(self.norms[1], self.names[1], "driving_front")
         of_file = () if keeps_file else tuple(getattr(self.identity.source, "notes", ()))

@@ -221,6 +221,7 @@ def quality(identity: Mesh, moved: LazyFrames) -> dict[str, Any]:
     identity, moved = merged_mesh(identity, moved.group), moved.distinct
     pairs = edges(identity.faces)
     lengths = edge_lengths(identity.vertices, pairs)
+    weights = np.square(lengths)  # as triangles by their areas: slivers weigh nothing
     stretches, torn, most_torn = [], 0.0, lengths
     # Frame by frame: the edges of a large mesh in all frames would take gigabytes.
     most = max(2, min(MOST_FRAMES, MOST_POINTS // len(identity.vertices)))
@@ -228,10 +229,14 @@ def quality(identity: Mesh, moved: LazyFrames) -> dict[str, Any]:
         posed = edge_lengths(vertices, pairs)
         stretch = edge_stretch(lengths, posed)
         stretches.append((stretch.max(initial=1.0), np.quantile(stretch, 0.99) if stretch.size else 1.0))
-        if (share := torn_share(lengths, posed)) > torn:
-            torn, most_torn = share, posed
+        longer = torn_edges(lengths, posed)
+        share = float(weights[longer].sum() / max(weights.sum(), 1e-300))
+        if share > torn:
+            torn, most_torn = share, np.where(longer, posed, 0.0)
     largest, p99 = np.max(stretches, axis=0)
-    where = {"torn_at": torn_at(identity.vertices, pairs, lengths, most_torn)} if torn > MAX_TORN else {}
+    where = {}
+    if torn > MAX_TORN:  # the middle at rest of the longest torn edge
+        where = {"torn_at": identity.vertices[pairs[most_torn.argmax()]].mean(axis=0).tolist()}
     return {"edge_stretch_max": float(largest), "edge_stretch_p99": float(p99), "torn_share": torn} | where
 
 
@@ -242,29 +247,11 @@ def edge_lengths(vertices: Float[np.ndarray, "V 3"], pairs: Int[np.ndarray, "E 2
 
 
 def edge_stretch(old: Float[np.ndarray, " E"], new: Float[np.ndarray, " E"]) -> Float[np.ndarray, " S"]:
-    """Return the factor by which each edge became longer or shorter (1: unchanged), without the shortest edges.
-
-    Args:
-        old: lengths of the edges before.
-        new: the same after.
-    """
+    """Return the factor by which each edge became longer or shorter (1: unchanged), without the shortest edges."""
     measured = old > MIN_EDGE * (old.mean() if len(old) else 0.0)
     # Twice as long and half as long are the same stretch; the bound keeps collapsed edges finite.
     ratio = np.maximum(new[measured] / old[measured], 1e-6)
     return np.maximum(ratio, 1 / ratio)
-
-
-def torn_share(old: Float[np.ndarray, " E"], new: Float[np.ndarray, " E"]) -> float:
-    """Return the share of a surface whose edges are more than TORN times as long as before, over the median edge.
-
-    Edges count by their squared lengths before, as triangles do by their areas: slivers weigh nothing.
-
-    Args:
-        old: lengths of the edges before.
-        new: the same after.
-    """
-    weights = np.square(old)
-    return float(weights[torn_edges(old, new)].sum() / max(weights.sum(), 1e-300))
 
 
 def torn_edges(old: Float[np.ndarray, " E"], new: Float[np.ndarray, " E"]) -> Bool[np.ndarray, " E"]:
@@ -274,31 +261,12 @@ def torn_edges(old: Float[np.ndarray, " E"], new: Float[np.ndarray, " E"]) -> Bo
     return ratio > TORN * (np.median(ratio[measured]) if measured.any() else 1.0)
 
 
-def torn_at(
-    vertices: Float[np.ndarray, "V 3"],
-    pairs: Int[np.ndarray, "E 2"],
-    old: Float[np.ndarray, " E"],
-    new: Float[np.ndarray, " E"],
-) -> list[float]:
-    """Return the middle at rest of the longest torn edge.
-
-    Args:
-        vertices: at rest.
-        pairs: vertices of each edge.
-        old: lengths of the edges at rest.
-        new: the same in a frame with torn ones.
-    """
-    return vertices[pairs[np.where(torn_edges(old, new), new, 0.0).argmax()]].mean(axis=0).tolist()
-
-
 def torn_note(
     report: Mapping[str, Any], name: str, found: bool, skeleton: AnimatedRig | None = None
 ) -> tuple[str, ...]:
     """Return a note for the user if much of the result `name` is torn (`quality`).
 
     Args:
-        report: of the result.
-        name: of the identity.
         found: joints were found on its surface.
         skeleton: of it; its joint that is nearest is named. None: none is known.
     """

@@ -30,6 +30,8 @@ if TYPE_CHECKING:
     from ..view.pack import MotionLimits, Panel
     from ..view.page import Download
 
+Precision = type[np.floating]
+"""Type of the vertices of a result."""
 LARGEST_DOWNLOAD = 8 * 2**20
 """Bytes up to which a page contains the file for download; to larger files it links."""
 
@@ -231,7 +233,6 @@ class Result(_Playable):
         return self.mesh.vertices
 
     def _distinct(self) -> tuple[LazyFrames, Int[np.ndarray, " V"] | None]:
-        """Return the vertices as a frame, each position once, and the number of the position of each vertex."""
         group = None if self.skeleton is None else same_colors(self.mesh, self.skeleton.group)
         return LazyFrames.stored(merged_mesh(self.mesh, group).vertices[None]), group
 
@@ -316,7 +317,6 @@ class ClipResult(_Playable):
         return Clip(self.mesh, self.frames.every(1), self.fps)
 
     def _distinct(self) -> tuple[LazyFrames, Int[np.ndarray, " V"] | None]:
-        """Return the frames, each position that vertices share once, and the number of the position of each vertex."""
         group = same_colors(self.mesh, self.frames.group)
         return (self.frames if group is None else self.frames.distinct), group
 

@@ -22,17 +22,15 @@ from ..core.animated_rig import INFLUENCES, AnimatedRig
 from ..core.arguments import public
 from ..core.errors import InputError, option
 from ..core.mesh import Clip, Mesh
-from ..core.normalization import Normalization
 from ..core.options import Hints, Layout, check_influences
 from ..io import joints_file
 from ..io.beside import missing_images, missing_images_notes
 from ..io.formats import JOINTED
-from ..io.gltf.own_animation import write_own_rig
+from ..io.gltf.own_animation import own_pose, write_own_rig
 from ..io.gltf.own_rig import OwnRig
 from ..io.gltf.skinned import write_gltf_rig
 from ..methods.find import find_mime
 from ..mime.model import Mime
-from ..rigs.character import Character
 from .joint_route import FoundCharacter, found_character, rigs_alone
 from .known import Known
 from .look import normalised
@@ -41,7 +39,7 @@ from .placed import check_identity, with_up
 from .read import read_mesh
 from .report import RigReport, facing, facing_note, fingered_hands
 from .result import Timer
-from .skinned import check_own_layout, own_pose
+from .skinned import check_own_layout
 from .vrm import save_as_vrm
 
 NO_HINTS = Hints()
@@ -234,11 +232,11 @@ def _rigged(mesh: Mesh, mime: Mime, known: Known, fingers: bool, timer: Timer) -
         notes = character.confidence.notes(mesh.name, alone=True) + notes
     notes += missing_images_notes(missing_images(mesh)) + (() if part is None else part.notes)
     source = "file" if rigs.humanoid is not None else "corrected" if known.corrections.given else "found"
-    skeleton = _at_rest(mesh, character, norm)
+    shown, rest, roles = with_up(mesh, norm), character.rig_of_file(norm), character.roles
     if rigs.humanoid is not None:
-        skeleton = dataclasses.replace(
-            skeleton, mesh=skeleton.mesh.with_vertices(rigs.humanoid.character.mesh.vertices)
-        )
+        shown = shown.with_vertices(rigs.humanoid.character.mesh.vertices)
+    at_rest = rest, rest.rotation[None], rest.joints[:1]
+    skeleton = AnimatedRig(shown, character.joints, character.parents, *at_rest, roles, group=character.shared)
     return RiggedMesh(
         whole,
         skeleton if part is None else part.rig(skeleton),
@@ -248,19 +246,4 @@ def _rigged(mesh: Mesh, mime: Mime, known: Known, fingers: bool, timer: Timer) -
         timer,
         notes,
         FoundCharacter(character, plain, norm, rigs, part),
-    )
-
-
-def _at_rest(mesh: Mesh, character: Character, norm: Normalization) -> AnimatedRig:
-    """Return the rig of a character at rest, in the axes, unit and position of its file."""
-    rig = character.rig_of_file(norm)
-    return AnimatedRig(
-        with_up(mesh, norm),
-        character.joints,
-        character.parents,
-        rig,
-        rig.rotation[None],
-        rig.joints[:1],
-        character.roles,
-        group=character.shared,
     )

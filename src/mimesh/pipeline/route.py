@@ -25,8 +25,7 @@ from .placed import check_identity, first_frame
 
 if TYPE_CHECKING:
     from .node_route import NodeRoute
-    from .same_mesh import ReferenceFrame
-    from .vertex_route import NamedMethod, VertexRoute
+    from .vertex_route import NamedMethod, ReferenceFrame, VertexRoute
 
 # All but the usual way are imported when they are taken.
 Route: TypeAlias = "JointRoute | VertexRoute | NodeRoute"
@@ -42,9 +41,6 @@ def find_route(
 
     Args:
         live: frames come later, one by one, and are vertices alone.
-
-    Raises:
-        InputError: an axis, a part, the model, its options or the corrections cannot be used.
     """
     mine, theirs = find_part(identity, known.parts[0]), find_part(clip.mesh, known.parts[1], "driving_part")
     if mine is None and theirs is None:
@@ -69,7 +65,7 @@ def _route(identity: Mesh, clip: Clip, model: Model, known: Known, options: Moti
     matched = None
     both = clip.skeleton is not None and may_have_joints(identity)
     if both and not live and known.rig == "own" and rigs.copied is None and not known.corrections.given:
-        from .creatures import matched_creatures
+        from .node_route import matched_creatures
 
         matched = matched_creatures(identity, clip, rigs, mime, known)
     if (rigs.only_copied or matched is not None) and options.smooth > 0:
@@ -105,7 +101,7 @@ def _reference(identity: Mesh, clip: Clip, rigs: Rigs, mime: Mime, known: Known)
         return None
     if known.body != OTHER and (rigs.bodies != (None, None) or len(clip) == 1 or not same_mesh(identity, clip.mesh)):
         return None
-    from .same_mesh import nearest_frame
+    from .vertex_route import nearest_frame
 
     if known.body == OTHER:
         return nearest_frame(identity, clip)

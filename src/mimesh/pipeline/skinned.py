@@ -18,19 +18,15 @@ from ..core.arguments import described, public
 from ..core.errors import InputError, option
 from ..core.frame_buffer import evenly_spread
 from ..core.options import Layout, needs_joints
-from ..core.printable import file_name
+from ..core.printable import file_name, numbered
 from ..core.rig import Rig, descendants
 from ..io import joints_file
-from ..io.gltf.own_animation import OwnAnimation, write_own_animations
+from ..io.gltf.own_animation import laid_out, write_own_animations
 from ..io.gltf.skinned import write_gltf_skinned
-from ..io.timing import DEFAULT_FPS
 from .report import Deviations, SavedClip, saved_clip
-from .vrma import save_bone_motions
+from .vrm import save_bone_motions
 
 if TYPE_CHECKING:
-    from ..io.gltf.animation import AnimatedValues
-    from ..io.gltf.document import Document
-    from ..io.gltf.own_rig import OwnRig
     from .result import ClipResult
 
 AS_IT_IS = Layout()
@@ -112,7 +108,6 @@ def _save_on_found_rig(
 
 
 def _check_results(results: Sequence[ClipResult], path: str | Path, names: Sequence[str] | None) -> None:
-    """Raise InputError for what are no results of `animate`, or not as many names."""
     if not isinstance(results, Sequence) or isinstance(results, str):
         raise InputError(f"results: expected a list of results of animate, found {described(results)}; give [result]")
     if not results:
@@ -130,7 +125,6 @@ def check_own_layout(person: Mapping[str, int], layout: Layout, name: str) -> No
 
     Args:
         person: node of each joint that is known to be a person's, by our name.
-        name: that of the identity.
 
     Raises:
         InputError: another rest pose than the file's, or names and a root bone for what is no person.
@@ -148,18 +142,7 @@ def check_own_layout(person: Mapping[str, int], layout: Layout, name: str) -> No
         )
 
 
-def laid_out(animation: OwnAnimation, layout: Layout) -> OwnAnimation:
-    """Give the bones of a file the names and the root bone of a layout."""
-    return animation.with_layout(SCHEMES[layout.names].bones, root_name(layout), layout.root_bone)
-
-
-def own_pose(own: OwnRig, name: str, layout: Layout, tracks: AnimatedValues | None = None) -> OwnAnimation:
-    """Return the bones of a file in a layout, in one pose: that of its nodes, but for the values in `tracks`."""
-    return laid_out(OwnAnimation(own.source, name, tracks or {}, DEFAULT_FPS, 1, own.person), layout)
-
-
 def _check_same_rig(results: Sequence[ClipResult], names: Sequence[str]) -> None:
-    """Raise InputError if results are not all on the own rig of one identity."""
     moved = {result.own is not None: name for result, name in zip(results, names, strict=True)}
     if False in moved:
         raise InputError(
@@ -168,16 +151,12 @@ def _check_same_rig(results: Sequence[ClipResult], names: Sequence[str]) -> None
         )
     first, *others = [result.own.source.document for result in results if result.own is not None]
     for name, document in zip(names[1:], others, strict=True):
-        if not _same_file(first, document):
+        same = first.gltf == document.gltf and bytes(first.binary) == bytes(document.binary)
+        if first is not document and not same:
             raise InputError(
                 f"{name}: expected results of one identity, found {first.path} and {document.path}; "
                 "write a file for each identity"
             )
-
-
-def _same_file(first: Document, other: Document) -> bool:
-    """Tell whether two documents were read from one file, or from files with the same content."""
-    return first is other or (first.gltf == other.gltf and bytes(first.binary) == bytes(other.binary))
 
 
 def _save_on_own_rig(
@@ -209,10 +188,8 @@ def distinct_names(names: Sequence[str]) -> list[str]:
     """Number names that were there before, as files are named on any system: walk, walk-2, Walk-3."""
     distinct: dict[str, str] = {}
     for name in names:
-        number, candidate = 2, name
-        while (file := file_name(candidate).casefold()) in distinct:
-            candidate, number = f"{name}-{number}", number + 1
-        distinct[file] = candidate
+        free = next(other for other in numbered(name) if file_name(other).casefold() not in distinct)
+        distinct[file_name(free).casefold()] = free
     return list(distinct.values())
 
 
@@ -221,9 +198,6 @@ def on_common_rig(skeletons: Sequence[AnimatedRig]) -> list[AnimatedRig]:
 
     Only fingers may differ: a model that finds them adds their joints where the driving moves them. The common rig has
     the fingers that any motion has; in the others these follow the hand.
-
-    Raises:
-        InputError: other vertices, joints or rest positions.
     """
     first = skeletons[0]
     for skeleton in skeletons[1:]:
@@ -238,13 +212,11 @@ def on_common_rig(skeletons: Sequence[AnimatedRig]) -> list[AnimatedRig]:
 
 
 def _body_names(skeleton: AnimatedRig) -> list[str]:
-    """List the joints that are no fingers."""
     fingers = {name for side in SIDES for name in finger_joints(side)}
     return [name for name in skeleton.names if name not in fingers]
 
 
 def _check_same(first: AnimatedRig, other: AnimatedRig) -> None:
-    """Raise InputError if two motions are not those of one identity."""
     a, b = first.mesh.vertices, other.mesh.vertices
     allowed = SAME_JOINT * first.size
     same = a.shape == b.shape and np.abs(a - b).max() <= allowed

@@ -1,4 +1,8 @@
-"""Move an identity by a method that moves vertices: networks of the papers, deformation transfer, a user's."""
+"""Move an identity by a method that moves vertices: networks of the papers, deformation transfer, a user's.
+
+An identity without a rig is moved by another shape of the same mesh with deformation transfer, by vertex index; the
+reference that this needs is the frame of the driving that is nearest to the identity.
+"""
 
 from __future__ import annotations
 
@@ -11,12 +15,14 @@ from typing import Any, cast
 import numpy as np
 from jaxtyping import Float
 
-from ..core.errors import InputError
+from ..core.errors import InputError, option
 from ..core.frame_buffer import LazyFrames, Progress, each_frame, store_frames
-from ..core.mesh import Clip, Mesh
-from ..core.normalization import Normalization
+from ..core.geometry import nearest_rotation
+from ..core.mesh import Clip, Mesh, same_mesh
+from ..core.normalization import ORIENTATIONS, ROTATIONS, Normalization
 from ..core.options import MotionOptions
 from ..methods.base import Drive, Method
+from ..methods.deformation_transfer import DeformationTransfer
 from ..methods.find import find_method
 from ..methods.npt import PaperNetwork
 from ..rigs.retarget import JointMotion
@@ -25,9 +31,8 @@ from .known import Known
 from .look import check_known_body, normalised, trained_on_people, turned_as_animal
 from .placed import SOLE_ERROR, Moved, Placed, first_frame, keyframes_of, surface_report, with_up
 from .refine import Refinement
-from .report import MeshReport, TransferReport, facing, torn_note
-from .result import Timer
-from .same_mesh import ReferenceFrame, paired_note
+from .report import MeshReport, ReferenceReport, TransferReport, facing, torn_note
+from .result import Precision, Timer
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,11 +95,7 @@ class VertexRoute(Placed):
         """Return the joints of both meshes: there are none."""
 
     def play(
-        self,
-        timer: Timer,
-        options: MotionOptions,
-        progress: Progress | None = None,
-        dtype: type[np.floating] = np.float64,
+        self, timer: Timer, options: MotionOptions, progress: Progress | None = None, dtype: Precision = np.float64
     ) -> Moved:
         """Make all frames, and report."""
         identity, clip = self.identity, self.clip
@@ -146,9 +147,6 @@ def vertex_route(
 
     Args:
         rigs: joints in the files say how both meshes stand; they are not moved.
-
-    Raises:
-        InputError: an axis, the model or its options cannot be used.
     """
     first, asked = first_frame(clip), known.asked_body
     subjects = rigs.subjects(identity, first, known.axes)
@@ -191,3 +189,95 @@ def _prepared(
     drive = method.prepare(rest, keyframes_of(clip, norms[1]))
     identity = identity if norms[0].unsure else with_up(identity, norms[0])
     return VertexRoute(identity, clip, norms, rest, None, rigs, notes, method=method, drive=drive)
+
+
+FRAMES = 240
+"""Most frames, evenly spread over a clip, among which the reference is looked for."""
+
+
+@dataclass(frozen=True, eq=False)
+class ReferenceFrame:
+    """The frame of a driving that is nearest to an identity of the same mesh."""
+
+    frame: int
+    vertices: Float[np.ndarray, "V 3"]
+    """Of that frame, turned as the identity is turned, in the axes of the identity's file."""
+    turn: Float[np.ndarray, "3 3"]
+    """The rotation that did it."""
+    distance: float
+    """Root mean square distance from the identity after scaling, over the root mean square radius of the identity."""
+
+    def axes(self, norm: Normalization) -> tuple[str, str]:
+        """Return up and front of the driving: those of the identity, whose normalisation is given.
+
+        Where the reference had to be turned from one up axis to another, the files have other axes.
+        """
+        nearest = ROTATIONS[int(np.einsum("rkl,kl->r", ROTATIONS, self.turn).argmax())]
+        same_up = np.array_equal(norm.rotation[1] @ nearest, norm.rotation[1])
+        rotation = norm.rotation if same_up else norm.rotation @ nearest
+        return ORIENTATIONS[int(np.abs(ROTATIONS - rotation).sum(axis=(1, 2)).argmin())]
+
+    def method(self, driving: Mesh, identity: Normalization, norm: Normalization) -> Method:
+        """Make the method, from the normalisations of the identity and of the driving."""
+        vertices = self.vertices @ identity.rotation.T / norm.radius
+        return DeformationTransfer(dataclasses.replace(driving, vertices=vertices))
+
+    def facts(self) -> ReferenceReport:
+        """Return the figures for the report."""
+        return {"frame": self.frame, "distance": round(self.distance, 4)}
+
+    def note(self, names: tuple[str, str]) -> str:
+        """Tell what was done with identity and driving, whose names are given."""
+        return (
+            f"{names[0]} is moved as another shape of the mesh {names[1]}, vertex by vertex (deformation transfer): "
+            f"frame {self.frame}, which differs by {self.distance:.0%} of the size, is taken to have its pose; "
+            f"{option('model', 'deformation-transfer')} takes another one with {option('reference', ...)}"
+        )
+
+
+def same_triangles(identity: Mesh, driving: Mesh) -> bool:
+    """Tell whether identity and driving are shapes of one mesh, so that their vertices correspond; points need not."""
+    return len(identity.faces) > 0 and same_mesh(identity, driving)
+
+
+def paired_note(method: Method, identity: Mesh, driving: Mesh) -> tuple[str, ...]:
+    """Tell that a network pairs the vertices of the two meshes by index, if it does."""
+    paired = getattr(method, "pairing", "random") == "order" and same_triangles(identity, driving)
+    return ("both meshes have the same triangles, so vertices are paired by index",) if paired else ()
+
+
+def nearest_frame(identity: Mesh, clip: Clip) -> ReferenceFrame:
+    """Find the frame of a clip of the same mesh that is nearest to the identity, whatever its heading and size.
+
+    Raises:
+        InputError: other meshes, one frame only, or all vertices of the identity or of each frame are at one point.
+    """
+    if not same_mesh(identity, clip.mesh):
+        raise InputError(
+            f"{identity.name}, {clip.mesh.name}: expected rigs in both files, or two shapes of one mesh, found "
+            f"neither; rig both, or give {option('markers', ...)} and {option('reference', ...)} with "
+            f"{option('model', 'deformation-transfer')}"
+        )
+    if len(clip) == 1:
+        raise InputError(
+            f"{clip.mesh.name}: expected a clip, in which one frame has about the pose of {identity.name}, found one "
+            f"pose; give it with {option('reference', ...)}, and {option('model', 'deformation-transfer')}"
+        )
+    target = identity.vertices - identity.vertices.mean(axis=0)
+    radius = float(np.sqrt(np.square(target).sum()))
+    found = None
+    for t in np.unique(np.linspace(0, len(clip) - 1, FRAMES).round().astype(int)):
+        points = np.asarray(clip.vertices[t], np.float64)
+        points = points - points.mean(axis=0)
+        size = float(np.sqrt(np.square(points).sum()))
+        if size == 0 or radius == 0:
+            continue
+        turn = nearest_rotation(target.T @ points)
+        turned = points @ turn.T
+        cosine = float((turned * target).sum()) / (size * radius)
+        distance = float(np.sqrt(max(1 - cosine**2, 0.0)))  # of the best scale
+        if found is None or distance < found.distance:
+            found = ReferenceFrame(int(t), turned, turn, distance)
+    if found is None:
+        raise InputError(f"{identity.name}, {clip.mesh.name}: expected meshes with a size, found points; repair them")
+    return found

@@ -43,7 +43,6 @@ def serve(
         files: meshes to move; the last of several is the driving clip. Files ending in .onnx are models.
         port: 0 for any free one.
         limit: largest size of an uploaded file in bytes.
-        open_browser: show the page in the browser.
         report_address: called with the address, token included, once the port is open.
 
     Raises:
@@ -67,25 +66,14 @@ def make_server(session: Session, token: str, host: str, port: int) -> uvicorn.S
     def is_closing() -> bool:
         return server.should_exit
 
-    server = quiet_server(AccessControl(make_app(session, is_closing), token, host, port))
+    app = AccessControl(make_app(session, is_closing), token, host, port)
+    quiet = {"log_level": "error", "access_log": False, "server_header": False}
+    server = uvicorn.Server(uvicorn.Config(app, timeout_graceful_shutdown=SHUTDOWN_SECONDS, **quiet))
     return server
 
 
-def quiet_server(app: AccessControl) -> uvicorn.Server:
-    """Build a web server that logs errors only."""
-    return uvicorn.Server(
-        uvicorn.Config(
-            app, log_level="error", access_log=False, server_header=False, timeout_graceful_shutdown=SHUTDOWN_SECONDS
-        )
-    )
-
-
 def make_session(files: list[Path], limit: int, model: str = "mime") -> Session:
-    """Start a session with files, models among them, as `serve` takes them.
-
-    Raises:
-        InputError: a file that does not exist, or an unknown model.
-    """
+    """Start a session with files, models among them, as `serve` takes them."""
     for file in files:
         if not file.exists():
             raise InputError(f"{file}: expected a file or folder, found nothing of that name; check the path")

@@ -26,8 +26,7 @@ from ..core.errors import InputError, naming_options
 from ..core.options import Layout, check_influences, check_value
 from ..io.joint_file import SUFFIX
 from .exports import NEEDED, Order
-from .fields import field_name
-from .items import parse_rate
+from .items import field_name, parse_rate
 from .jobs import Cancelled, error_line
 from .operations import describe_file
 from .session import Session
@@ -284,7 +283,6 @@ async def _not_found(request: Request, error: Exception) -> Response:
 
 
 def _use_upload(session: Session, upload: Upload, role: str) -> list[int]:
-    """Add the meshes or the clip of an upload to the session; returns their numbers."""
     if not upload.files:
         raise InputError("upload: expected a file, found none; choose one")
     if role == "identity":

@@ -14,13 +14,14 @@ from ..core.animated_rig import INFLUENCES
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
 from ..core.options import Layout
+from ..core.printable import numbered
 from ..io import check_writable, save_mesh
 from ..io.atomic import whole_file
 from ..io.formats import CLIP_WRITERS, FORMATS, FRAME_SUFFIXES, JOINTED, MESH_WRITERS
 from ..pipeline.capturing import JOINT_FILES
 from ..pipeline.result import ClipResult
 from ..pipeline.skinned import AS_IT_IS, save_skinned
-from ..pipeline.vrma import check_bones_layout
+from ..pipeline.vrm import check_bones_layout
 from ..tools.convert import BONES_ONLY, not_kept, part, rate_note, resampled_note, skinned_note
 from ..view.movie import MOVIES
 from .items import Item, Options, finished_result
@@ -99,11 +100,7 @@ def formats(what: str, moving: bool) -> list[dict[str, str | bool]]:
 
 
 def write(export: Export, items: Sequence[Item], driving: Item | None, options: Options, progress: Progress) -> Path:
-    """Write the results or rigs of meshes, or the motion of the driving clip, and return the one file to download.
-
-    Raises:
-        InputError: a format or option that is not possible for these.
-    """
+    """Write the results or rigs of meshes, or the motion of the driving clip, and return the one file to download."""
     order = export.order
     if (driving is None and order.what != "rig") or (not items and order.what != "motion"):
         raise InputError(f"export: expected {NEEDED[order.what]}, found none; add what is missing")
@@ -115,7 +112,8 @@ def write(export: Export, items: Sequence[Item], driving: Item | None, options: 
     # Written to a folder first: how many files a format makes depends on the mesh (textures, frames).
     files_folder, notes, used = export.folder / "files", [], set()
     for k, (name, write_part) in enumerate(parts):
-        stem = _unused(safe_name(name), used)
+        stem = next(free for free in numbered(safe_name(name)) if free not in used)
+        used.add(stem)
         notes += write_part(files_folder / stem, part(progress, k, len(parts)) or progress)
     export.notes = tuple(dict.fromkeys(notes))
     files = sorted(path for path in files_folder.rglob("*") if path.is_file())
@@ -172,7 +170,6 @@ def _write_result(order: Order, result: ClipResult, driving: str, target: Path, 
 
 
 def _write_rig(order: Order, item: Item, options: Options, target: Path, progress: Progress) -> list[str]:
-    """Find the rig of a mesh and write it; returns notes on both."""
     rigged, path, layout = rig_mesh(item, options), _with_suffix(target, order), order.layout
     progress(1, 2)
     bones = {"names": layout.names, "root_bone": layout.root_bone, "rest": layout.rest}
@@ -181,7 +178,6 @@ def _write_rig(order: Order, item: Item, options: Options, target: Path, progres
 
 
 def _write_motion(order: Order, driving: Item, options: Options, target: Path, progress: Progress) -> tuple[str, ...]:
-    """Read the joints of the driving clip and write them; returns notes on them."""
     captured = capture_driving(driving, options, progress)
     captured.save(_with_suffix(target, order))
     return captured.notes
@@ -192,7 +188,6 @@ def _with_suffix(target: Path, order: Order) -> Path:
 
 
 def _check(order: Order, name: str) -> None:
-    """Check that the format of a result has what is asked for."""
     suffix, layout = order.suffix, order.layout
     of_bones = layout != AS_IT_IS or order.influences != INFLUENCES
     if suffix == BONES_ONLY:
@@ -227,15 +222,7 @@ def _lacking(suffix: str) -> str:
     return ""
 
 
-def _unused(stem: str, used: set[str]) -> str:
-    """Return a stem that is not in `used`, with a number if needed, and add it there."""
-    name = next(name for k in range(len(used) + 1) if (name := stem if k == 0 else f"{stem}-{k + 1}") not in used)
-    used.add(name)
-    return name
-
-
 def _zip(files: list[Path], top: Path, path: Path) -> Path:
-    """Pack files into an archive, with paths relative to `top`."""
     with whole_file(path) as temporary, zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as pack:
         for file in files:
             pack.write(file, file.relative_to(top))

@@ -1,4 +1,4 @@
-"""What a studio holds: the options of its page, the meshes to move and the driving clip, and their results."""
+"""What a studio holds: options and what its page calls them, meshes to move, the driving clip, and their results."""
 
 from __future__ import annotations
 
@@ -35,11 +35,7 @@ class Options:
     rig: str = "own"
 
     def changed(self, changes: dict[str, Any], models: tuple[str, ...]) -> Options:
-        """Return the options with some values changed.
-
-        Raises:
-            InputError: an unknown option, or a value that is not possible.
-        """
+        """Return the options with some values changed."""
         unknown = changes.keys() - {field.name for field in dataclasses.fields(self)}
         if unknown:
             raise InputError(f"{min(unknown)}: expected the name of an option, found this; leave it out")
@@ -72,11 +68,7 @@ class Options:
 
 
 def parse_rate(value: Any) -> float | None:
-    """Parse a frame rate of the page in frames per second; None for the file's own.
-
-    Raises:
-        InputError: not a positive number.
-    """
+    """Parse a frame rate of the page in frames per second; None for the file's own."""
     if value in (None, ""):
         return None
     if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
@@ -171,11 +163,7 @@ class Outcome:
 
 
 def finished_result(item: Item) -> ClipResult:
-    """Return the result of a mesh.
-
-    Raises:
-        InputError: it is not finished for the current inputs.
-    """
+    """Return the result of a mesh."""
     if item.outcome is None or item.outcome.result is None or not item.outcome.current:
         raise InputError(f"{item.name}: expected a finished result, found none; wait for it, or see its error message")
     return item.outcome.result
@@ -190,8 +178,46 @@ def preparation_inputs(item: Item, driving: Item, options: Options) -> tuple:
 
 
 def _corrections_key(item: Item) -> tuple:
-    """Return the values of the corrections of an item, to be compared."""
     if item.corrections is None:
         return ()
     positions = item.corrections.positions.items()
     return (item.corrections.frame, *((name, *map(float, position)) for name, position in positions))
+
+
+FIELDS = {
+    "model": "the model",
+    "names": "bone names",
+    "rest": "rest pose",
+    "root_bone": "root bone",
+    "skinned": "bones",
+    "rig": "bones",
+    "body": "both meshes are",
+    "smooth": "smoothing",
+    "root": "root motion",
+    "ground": "feet on the ground",
+    "fps": "frame rate",
+    "output_fps": "frame rate",
+    "driving_up": "up of the driving",
+    "driving_front": "front of the driving",
+    "license": "licence",
+    "driving_part": "part of the driving",
+    "influences": "weights per vertex",
+    "joints": "corrected joints",
+    "driving_joints": "corrected joints of the driving",
+}
+"""Option -> the field of the page that it is, where that has another name."""
+CHOICES = {
+    "False": "off",
+    "own": "of the file",
+    "mimesh": "found on the surface",
+    "human": "a person",
+    "quadruped": "a four-legged animal",
+    "deformation-transfer": "deformation-transfer, of the command mimesh animate alone",
+}
+"""Value of an option -> what the field of the page calls it."""
+
+
+def field_name(name: str, value: object = None) -> str:
+    """Name an option in a message, with a value to choose, as the page does."""
+    known = FIELDS.get(name, name.replace("_", " "))
+    return known if value is None or value is ... else f"“{known}: {CHOICES.get(str(value), value)}”"

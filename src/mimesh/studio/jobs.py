@@ -19,7 +19,7 @@ from ..core.errors import InputError, naming_options
 from ..core.frame_buffer import Progress
 from ..core.printable import say
 from ..io.child_process import watched
-from .fields import field_name
+from .items import field_name
 
 Work = Callable[[Progress], Any]
 """The function of a job; its argument is to be called with the progress."""

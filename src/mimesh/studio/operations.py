@@ -26,13 +26,11 @@ from ..io.beside import confined
 from ..io.gltf.animation import animation_names
 from ..io.gltf.own_rig import GltfJoints
 from ..io.joint_file import describe_corrections, load_corrections, side_file
-from ..methods.base import Method
 from ..methods.find import find_mime, find_model
 from ..mime.model import Mime
 from ..motions.animal_clips import ANIMAL_MOTIONS, animal_clip
 from ..pipeline.capturing import CapturedClip, capture
-from ..pipeline.corrections import Corrections, correctable_joints, shown_bones
-from ..pipeline.known import Known, driving_axes
+from ..pipeline.known import Corrections, Known, correctable_joints, driving_axes, shown_bones
 from ..pipeline.look import OTHER
 from ..pipeline.parts import PartRoute, named_parts
 from ..pipeline.report import facing
@@ -98,7 +96,9 @@ def prepare_inputs(identity: Item, driving: Item, options: Options) -> Route | P
     assert isinstance(driving.content, Clip)
     model = find_model(options.model)
     rig, body = options.kind(model)
-    corrections = Corrections() if body == OTHER else applicable_corrections(model, identity, driving)
+    corrections = Corrections()
+    if body != OTHER and isinstance(model, Mime):
+        corrections = Corrections.read(identity.corrections, driving.corrections, driving.content)
     parts = identity.part, driving.part
     known = Known((*identity.axes, *driving.axes), rig, body, corrections, parts)
     return find_route(identity.content, driving.content, model, known, options.motion(model))
@@ -116,22 +116,14 @@ def compute_result(route: Route | PartRoute, clip: Clip, options: Options, progr
 
 
 def rig_mesh(item: Item, options: Options) -> RiggedMesh:
-    """Find the rig of a mesh, as `mimesh.rig` does.
-
-    Raises:
-        InputError: it has not been read, or as `mimesh.rig`.
-    """
+    """Find the rig of a mesh, as `mimesh.rig` does."""
     if not isinstance(item.content, Mesh):
         raise _unread(item)
     return rig(item.content, options.model, hints=_hints(item, options))
 
 
 def capture_driving(item: Item, options: Options, progress: Progress) -> CapturedClip:
-    """Read the joints of the driving clip, as `mimesh.capture` does.
-
-    Raises:
-        InputError: it has not been read, or as `mimesh.capture`.
-    """
+    """Read the joints of the driving clip, as `mimesh.capture` does."""
     if not isinstance(item.content, Clip):
         raise _unread(item)
     hints = _hints(item, options)
@@ -139,7 +131,6 @@ def capture_driving(item: Item, options: Options, progress: Progress) -> Capture
 
 
 def _hints(item: Item, options: Options) -> Hints:
-    """Return what the page says of one mesh or clip."""
     kind, body = options.kind(find_mime(options.model))
     return Hints(up=item.up, front=item.front, rig=kind, body=body, joints=item.corrections, part=item.part)
 
@@ -159,11 +150,7 @@ def for_page(text: str, folder: Path) -> str:
 
 
 def read_side_file(path: Path | None) -> JointCorrections | None:
-    """Read the corrections beside a mesh or clip; None if there are none.
-
-    Raises:
-        InputError: they cannot be read.
-    """
+    """Read the corrections beside a mesh or clip; None if there are none."""
     if path is None or not side_file(path).is_file():
         return None
     corrections = load_corrections(side_file(path))
@@ -187,24 +174,13 @@ def check_corrections(item: Item, corrections: JointCorrections) -> None:
 
 
 def parse_positions(item: Item, positions: Any) -> JointCorrections | None:
-    """Make corrections from the positions that the page sends, in the frame of the earlier ones; None from none.
-
-    Raises:
-        InputError: they are not positions of joints, or do not belong to the mesh.
-    """
+    """Make corrections from the positions that the page sends, in the frame of the earlier ones; None from none."""
     if not isinstance(positions, Mapping):
         raise InputError("joints: expected an object of positions, found something else; reload the page")
     frame = 0 if item.corrections is None else item.corrections.frame
     corrections = JointCorrections.of(positions, "joints", frame=frame)
     check_corrections(item, corrections)
     return corrections if corrections.positions else None
-
-
-def applicable_corrections(model: Mime | Method, identity: Item, driving: Item) -> Corrections:
-    """Return the corrections of both items if the model can use them, else none."""
-    if not isinstance(model, Mime) or not isinstance(driving.content, Clip):
-        return Corrections()
-    return Corrections.read(identity.corrections, driving.corrections, driving.content)
 
 
 def describe_joints(route: Route | PartRoute, identity: Item, driving: Item) -> dict[str, Any]:

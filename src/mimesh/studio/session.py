@@ -64,11 +64,7 @@ class Session:
             return self._last_number
 
     def add_identities(self, paths: list[Path], upload: int | None = None) -> list[int]:
-        """Add meshes to move, to be read by the worker; returns their numbers.
-
-        Raises:
-            InputError: more than MOST_IDENTITIES.
-        """
+        """Add meshes to move, to be read by the worker; returns their numbers."""
         check_room(len(self.identities) + len(paths))
         added = []
         for path in paths:
@@ -106,11 +102,7 @@ class Session:
         self.refresh()
 
     def item(self, number: int) -> Item:
-        """Return the item of a number.
-
-        Raises:
-            InputError: there is none.
-        """
+        """Return the item of a number."""
         if self.driving is not None and self.driving.number == number:
             return self.driving
         if number not in self.identities:
@@ -122,11 +114,7 @@ class Session:
         return any(item.upload == upload for item in (*self.identities.values(), self.driving) if item is not None)
 
     def set_item(self, number: int, changes: dict[str, Any]) -> None:
-        """Change axes and part of an item, or animation and frame rate of the driving clip, which is then read again.
-
-        Raises:
-            InputError: an unknown field, or a value that is not possible.
-        """
+        """Change axes and part of an item, or animation and frame rate of the driving, which is then read again."""
         item = self.item(number)
         unknown = changes.keys() - {"up", "front", "part", "animation", "fps"}
         if unknown:
@@ -186,11 +174,7 @@ class Session:
         return self.worker.submit(("pose", number), work, urgent=True)
 
     def set_joints(self, number: int, positions: Any) -> None:
-        """Replace the corrected joints of an item; results that depend on them are computed again.
-
-        Raises:
-            InputError: not positions of joints near the mesh.
-        """
+        """Replace the corrected joints of an item; results that depend on them are computed again."""
         item = self.item(number)
         item.corrections, item.corrections_error = operations.parse_positions(item, positions), ""
         self.refresh()
@@ -325,7 +309,10 @@ class Session:
         def work(progress: Progress) -> ClipResult:
             def report(done: int, total: int) -> None:
                 progress(done, total)
-                self._report_progress(outcome, done / total)
+                # In steps of a percent: each change wakes up all pages.
+                if done / total - outcome.progress >= 0.01 or done == total:
+                    outcome.progress = done / total
+                    self.changed()
 
             route, clip = self._prepare(item)
             return operations.compute_result(route, clip, options, report)
@@ -341,12 +328,6 @@ class Session:
         else:
             outcome.error, outcome.result = self.page_error(error), None
         outcome.version = outcome.result_version = self.changed()
-
-    def _report_progress(self, outcome: Outcome, progress: float) -> None:
-        """Store the progress in steps of a percent: each change wakes up all pages."""
-        if progress - outcome.progress >= 0.01 or progress == 1.0:
-            outcome.progress = progress
-            self.changed()
 
     def _prepare(self, item: Item) -> tuple[Route | PartRoute, Clip]:
         """Return a mesh and the driving clip as the model prepared them, from the cache if the inputs are the same.

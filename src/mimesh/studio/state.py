@@ -103,7 +103,6 @@ def used_facing(session: Session, item: Item) -> dict[str, Any]:
 
 
 def _panel(session: Session, item: Item, role: str) -> Panel:
-    """Return the panel of a mesh or a clip as it was read."""
     assert item.content is not None
     clip, facing = item.content, used_facing(session, item)
     return Panel(role, Clip.still(clip) if isinstance(clip, Mesh) else clip, item.name, facing["up"], facing["front"])

@@ -62,11 +62,7 @@ class UploadFolder:
         return upload
 
     def upload(self, number: int) -> Upload:
-        """Return the upload of a number.
-
-        Raises:
-            InputError: there is none.
-        """
+        """Return the upload of a number."""
         if number not in self._uploads:
             raise InputError(f"upload {number}: expected one that was begun, found none; choose the files again")
         return self._uploads[number]
@@ -78,11 +74,7 @@ class UploadFolder:
         return folder
 
     def add_file(self, upload: Upload, name: str) -> Path:
-        """Add a file to an upload by its name in the browser; creates its folders and returns its path.
-
-        Raises:
-            InputError: too many files, or two of one name.
-        """
+        """Add a file to an upload by its name in the browser; creates its folders and returns its path."""
         if len(upload.files) >= MOST_FILES:
             raise InputError(f"{name}: expected {MOST_FILES:,} files or fewer at a time, found more; give fewer frames")
         path = upload.folder / safe_path(name)
@@ -158,11 +150,7 @@ def safe_name(name: str) -> str:
 
 
 def safe_path(name: str) -> PurePosixPath:
-    """Make a relative path that stays in its folder: "../a\\b.obj" becomes "a/b.obj".
-
-    Raises:
-        InputError: nothing of the name is left, or more than MAX_DEPTH folders.
-    """
+    """Make a relative path that stays in its folder: "../a\\b.obj" becomes "a/b.obj"."""
     # Characters that normalize to a separator, such as a full-width slash, count as one.
     separated = "".join("/" if {"/", "\\"} & set(unicodedata.normalize("NFKC", c)) else c for c in name)
     parts = [part for part in separated.split("/") if part.strip(". ") and not re.fullmatch(r"[A-Za-z]:", part)]
@@ -176,11 +164,7 @@ def safe_path(name: str) -> PurePosixPath:
 
 
 def find_meshes(files: list[Path]) -> list[Path]:
-    """Find the meshes among files; materials, textures and buffers are no meshes.
-
-    Raises:
-        InputError: none, or more than MOST_MESHES.
-    """
+    """Find the meshes among files; materials, textures and buffers are no meshes."""
     found = [path for path in files if path.suffix.lower() in MESH_READERS]
     if not found:
         raise InputError(
@@ -198,9 +182,6 @@ def find_clip(files: list[Path]) -> Path:
     """Find the driving clip among files: a point cache, the only readable file, or the folder with most of them.
 
     A point cache (positions without faces) comes with the mesh that it moves, which its reader finds beside it.
-
-    Raises:
-        InputError: no file that can be read.
     """
     caches = [path for path in files if path.suffix.lower() == CACHE]
     if len(caches) == 1:

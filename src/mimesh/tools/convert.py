@@ -10,23 +10,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from .. import io
 from ..core.animated_rig import RigAnimation
 from ..core.errors import InputError, option
 from ..core.frame_buffer import PosedFrames, Progress
 from ..core.mesh import Clip, Mesh, RewritableSource, check_cut, cut_clip, stored_clip
 from ..core.normalization import clear_up, parse_axis
 from ..core.options import ConvertOptions
-from ..io import (
-    check_writable,
-    clip_suffixes,
-    joints_file,
-    list_animations,
-    load_driving,
-    load_mesh,
-    load_recorded_clip,
-    save_mesh,
-    save_whole,
-)
 from ..io.beside import missing_images, missing_images_notes
 from ..io.formats import CACHE, FORMATS, FRAMES_ONLY, JOINTED, MESH_WRITERS, MORPHED, MOTIONS
 from ..io.polygons import smooth_normals
@@ -34,7 +24,7 @@ from ..io.timing import DEFAULT_FPS
 
 if TYPE_CHECKING:
     from ..io.gltf.own_animation import OwnAnimation
-    from ..pipeline.scans import Told
+    from ..pipeline.read import Told
 
 USUAL = ConvertOptions()
 ALL = "all"
@@ -82,7 +72,6 @@ def convert(
     joints get the shipped body with its bones. Only `morphs` makes morph targets of frames.
 
     Args:
-        source: a file or a folder of frames.
         target: the file to write, or without a suffix a folder of frames.
         progress: is called with the steps done and the steps in all.
 
@@ -98,12 +87,12 @@ def convert(
             f"{target}: expected a mesh or a clip to write, found {suffix}, which has bones alone; write it with "
             f"mimesh animate CHARACTER {source.name} -o {target.name}"
         )
-    holds_clip = suffix in (*clip_suffixes(), *MOVIES) or not suffix or target.is_dir()
+    holds_clip = suffix in (*io.clip_suffixes(), *MOVIES) or not suffix or target.is_dir()
     frames_as = None if options.frames_as is None else "." + options.frames_as.lstrip(".")
     if frames_as is not None and suffix and not target.is_dir():
         raise InputError(f"{target}: expected a folder with --frames-as, found '{target.suffix}'; leave it out")
     given = _check_options(options, target, holds_clip)
-    check_writable(target)
+    io.check_writable(target)
     if keeps_bones(source, target, options):
         kept = _with_bones(source, target, options, given)
         if kept is not None:
@@ -117,7 +106,7 @@ def convert(
     has_rest = source.is_file() and source.suffix.lower() not in FRAMES_ONLY and options.body_model is None
     if options.frame is None and not holds_clip and has_rest:
         _refuse_options(target, given, f"{suffix} files hold one mesh, at rest", " or choose a --frame")
-        mesh = _with_up(load_mesh(source), options.up, target)
+        mesh = _with_up(io.load_mesh(source), options.up, target)
         notes = _at_rest_note(mesh, source, target) + _bones_note(mesh, source, target)
         return _write_mesh(mesh, target, notes=notes)
     # Reading and writing are half of the progress each.
@@ -129,14 +118,18 @@ def convert(
         shape = parse_betas(options.betas)
     read = options.body_model, options.fps, options.animation, part(progress, 0, 2), chosen, shape
     clip, notes = read_clip(source, *read)
-    clip = clip if options.frame is None else _single_frame(clip, options.frame, source)
+    if options.frame is not None:
+        frame = options.frame  # negative numbers count from the end
+        if not -len(clip) <= frame < len(clip):
+            raise InputError(f"{source}: expected --frame below its {len(clip)} frames, found {frame}; change it")
+        clip = cut_clip(clip, frame, frame + 1 or None, 1)  # up to -1 + 1 = 0 would be nothing
     clip = dataclasses.replace(clip, mesh=_with_up(clip.mesh, options.up, target))
     if suffix in JOINTED and isinstance(clip.vertices, PosedFrames) and not frames_are_asked(options):
         from ..io.gltf.skinned import write_gltf_skinned
         from ..motions.on_body import played_rig
 
         body = RigAnimation(clip.mesh.name, played_rig(clip), clip.fps)
-        with joints_file(target) as temporary:
+        with io.joints_file(target) as temporary:
             write_gltf_skinned([body], temporary)
         notes += (f"{target.name} is mimesh's own body on the bones of the motion; --morphs writes its surface alone",)
         return Converted(len(clip.mesh.vertices), len(clip), clip.fps, notes)
@@ -151,7 +144,7 @@ def convert(
         + rate_note(clip.fps, target)
     )
     if options.frame is None and options.animation is None:
-        notes += animations_note(list_animations(source), source)
+        notes += animations_note(io.list_animations(source), source)
     notes += missing_images_notes(missing_images(clip.mesh))
     return Converted(len(clip.mesh.vertices), len(clip), clip.fps, notes)
 
@@ -203,19 +196,11 @@ def read_clip(
     frames: slice = slice(None),
     betas: np.ndarray | None = None,
 ) -> tuple[Clip, tuple[str, ...]]:
-    """Read a clip, or with a body model the recorded surface; returns notes as well.
-
-    Args:
-        frames: see `load_clip`.
-        betas: see `load_recorded_clip`.
-
-    Raises:
-        InputError: a file cannot be read, or no frame is left.
-    """
+    """Read a clip, or with a body model the recorded surface; returns notes as well."""
     if body_model is None:
-        clip = load_driving(path, fps=fps, animation=animation, progress=progress, frames=frames)
+        clip = io.load_driving(path, fps=fps, animation=animation, progress=progress, frames=frames)
         return clip, clip.notes
-    clip, notes = load_recorded_clip(path, body_model, fps=fps, animation=animation, progress=progress, betas=betas)
+    clip, notes = io.load_recorded_clip(path, body_model, fps=fps, animation=animation, progress=progress, betas=betas)
     return cut_clip(clip, frames.start or 0, frames.stop, 1 if frames.step is None else frames.step), notes
 
 
@@ -236,7 +221,6 @@ def choose_clips(driving: Sequence[Path], selectors: Sequence[str] | None) -> li
     """Choose clips of driving files, with distinct names.
 
     Args:
-        driving: the files or folders.
         selectors: names or numbers of animations, or ALL. Several of one file, one for each of several files in their
             order, or ALL once for all files; empty or None takes the default of each file.
 
@@ -266,7 +250,7 @@ def choose_clips(driving: Sequence[Path], selectors: Sequence[str] | None) -> li
 
 def _clips_of(path: Path, selector: str | None) -> Iterator[DrivingClip]:
     """Yield the clips of a file that one value of `--animation` chooses."""
-    names = list_animations(path)
+    names = io.list_animations(path)
     if not names:  # reading the file refuses a selector
         yield DrivingClip(path, None if selector == ALL else selector, file_stem(path))
     elif selector is None:
@@ -308,13 +292,9 @@ def read_driving(
         frames: those to take; of a motion file no others are posed, of scans no others are read.
         whole: check `frames`, and return all.
         told: what is known of scans.
-
-    Raises:
-        InputError: a file cannot be read, or no frame is left.
     """
     from ..motions.on_body import is_motion_file
-    from ..pipeline.odd_frames import LONE_FRAMES, first_frame_note
-    from ..pipeline.read import load_moving
+    from ..pipeline.read import LONE_FRAMES, first_frame_note, load_moving
     from ..rigs.retarget import ScannedJoints
 
     path = chosen.path
@@ -329,7 +309,7 @@ def read_driving(
     notes += taken_rate_note(clip, path) if fps is None else ()
     if frames.start == 0:
         # The capture is kept in memory: nothing is read again.
-        first = load_driving(path, fps=fps, frames=slice(0, LONE_FRAMES)) if early else clip
+        first = io.load_driving(path, fps=fps, frames=slice(0, LONE_FRAMES)) if early else clip
         notes += first_frame_note(first, 0, path.name)
     early = early or (isinstance(clip.skeleton, ScannedJoints) and not whole)
     check_cut(clip.mesh.name, len(clip), slice(None) if early else frames)
@@ -353,14 +333,14 @@ def _with_bones(source: Path, target: Path, options: ConvertOptions, given: list
 
     None where there are no frames to choose, because the file does not move.
     """
-    mesh = load_mesh(source)
+    mesh = io.load_mesh(source)
     names, count = getattr(mesh.source, "animations", ()), len(mesh.vertices)
     notes = missing_images_notes(missing_images(mesh))
     if not names and given:
         return None
     if set(given) <= {"--animation"} or mesh.source is None:  # without a source it is a motion of joints alone
         _refuse_options(target, given if mesh.source is None else [], "joints without a mesh are written as they are")
-        save_whole(source, target, options.animation)
+        io.save_whole(source, target, options.animation)
         kept = f"{target.name} has the animations {', '.join(names)}"
         return Converted(count, 1, None, notes + ((kept,) if len(names) > 1 and options.animation is None else ()))
     from ..io.gltf.edit import GltfSource
@@ -368,7 +348,7 @@ def _with_bones(source: Path, target: Path, options: ConvertOptions, given: list
 
     assert isinstance(mesh.source, GltfSource)
     cut = cut_animation(mesh.source, options.animation, options.fps, options.slice)
-    with joints_file(target) as temporary:
+    with io.joints_file(target) as temporary:
         write_own_animations([cut], temporary)
     notes += animations_note(names, source) if options.animation is None else ()
     return Converted(count, cut.frames, cut.fps, notes)
@@ -394,13 +374,6 @@ def _bones_note(mesh: Mesh, source: Path, target: Path) -> tuple[str, ...]:
     return (f"left out of {target.name}: {' and '.join(lost)}; {keeps}",)
 
 
-def _single_frame(clip: Clip, frame: int, source: Path) -> Clip:
-    """Cut a clip to one frame; negative numbers count from the end."""
-    if not -len(clip) <= frame < len(clip):
-        raise InputError(f"{source}: expected --frame below its {len(clip)} frames, found {frame}; change it")
-    return cut_clip(clip, frame, frame + 1 or None, 1)  # up to -1 + 1 = 0 would be nothing
-
-
 def skinned_note(report: Mapping[str, Any]) -> tuple[str, ...]:
     """Return notes on how far the vertices of a skinned file are from those that all weights and joints would give."""
     limited, written = (report.get(f"{key}_deviation") or 0.0 for key in ("influence", "skinned"))
@@ -421,8 +394,6 @@ def hierarchy_note(own: OwnAnimation | None, scheme: str, name: str) -> tuple[st
 
     Args:
         own: the motion on the bones of the identity's file; None: other bones are written.
-        scheme: names of bones that were asked for.
-        name: that of the identity.
     """
     if own is None or scheme == "own":
         return ()
@@ -538,13 +509,7 @@ def frames_at(frames: int, fps: float) -> str:
 
 
 def animations_note(names: Sequence[str], path: Path, several: bool = False) -> tuple[str, ...]:
-    """Return a note on which animation was taken, if a file has several.
-
-    Args:
-        names: of the animations of the file.
-        path: that of the file.
-        several: whether `--animation` takes more than one.
-    """
+    """Return a note on which animation was taken, if a file has several."""
     if len(names) < 2:
         return ()
     others = f"{option('animation', ...)} takes another" + f", {option('animation', ALL)} takes all of them" * several
@@ -557,7 +522,6 @@ def part(progress: Progress | None, number: int, parts: int) -> Progress | None:
 
 
 def _refuse_options(target: Path, given: Sequence[str], reason: str, alternative: str = "") -> None:
-    """Raise InputError if options are given that would have no effect."""
     if given:
         raise InputError(f"{target}: expected no {given[0]} ({reason}), found it; leave it out{alternative}")
 
@@ -600,8 +564,7 @@ def taken_pose_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
 
 
 def _write_mesh(mesh: Mesh, target: Path, frames: int = 1, notes: tuple[str, ...] = ()) -> Converted:
-    """Write one mesh, the first of so many frames."""
-    save_mesh(mesh, target)
+    io.save_mesh(mesh, target)
     notes += not_kept(mesh, target) + _lying_note(mesh, target)
     if frames > 1:
         notes += (f"{target.suffix} files hold one mesh: {target.name} is the first of {frames} frames",)

@@ -38,9 +38,6 @@ def run_demo(folder: Path, progress: Progress | None = None, body: str = "human"
 
     Args:
         body: `human` or `quadruped`.
-
-    Raises:
-        InputError: another body.
     """
     identity, driving = inputs(body)
     result = animate(identity, driving, progress=progress)

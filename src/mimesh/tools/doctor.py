@@ -63,7 +63,12 @@ def examine() -> list[Check]:
         "this folder": _writable,
         "self check": _transfer,
     }
-    return checks + [_probe(name, probe) for name, probe in probes.items()]
+    for name, probe in probes.items():
+        try:
+            checks.append(Check(name, True, probe()))
+        except Exception as error:  # any error is the result of the check, and is shown to the user
+            checks.append(Check(name, False, f"{type(error).__name__}: {error}"))
+    return checks
 
 
 def _version(package: str, extra: str | None = None, purpose: str = "") -> Check:
@@ -77,7 +82,6 @@ def _version(package: str, extra: str | None = None, purpose: str = "") -> Check
 
 
 def _blender() -> Check:
-    """Look for the Blender that writes FBX, which may be missing."""
     from ..core.errors import InputError
     from ..io.fbx.write import PACKAGE, VARIABLE, find_blender
 
@@ -89,14 +93,6 @@ def _blender() -> Check:
         else:
             found = f"not installed (pip install {PACKAGE}, or the program, to write FBX)"
         return Check("blender", True, found, optional=True)
-
-
-def _probe(name: str, probe: Callable[[], str]) -> Check:
-    # Any error is the result of the check, so all of them are caught here and shown to the user.
-    try:
-        return Check(name, True, probe())
-    except Exception as error:
-        return Check(name, False, f"{type(error).__name__}: {error}")
 
 
 def _body() -> str:

@@ -49,11 +49,7 @@ def kind_of(options: RenderOptions, output: Path, clips: Sequence[Clip]) -> str:
 
 
 def check_options(options: RenderOptions, output: Path) -> None:
-    """Check that the suffix can be drawn and that no options exclude each other or the suffix.
-
-    Raises:
-        InputError: they do.
-    """
+    """Check that the suffix can be drawn and that no options exclude each other or the suffix."""
     suffix, kinds = output.suffix.lower(), _flags(options)
     if suffix not in (*PICTURES, *MOVIES, PAGE):
         known = ".png, .jpg, .webp, .gif, .mp4 or .html"
@@ -71,38 +67,27 @@ def check_options(options: RenderOptions, output: Path) -> None:
     if (options.sheet or options.strip) and suffix not in PICTURES:
         raise InputError(f"{output}: expected a picture (.png or .jpg) for {kinds[0]}, found '{suffix}'; rename it")
     if suffix == PAGE:
-        _check_page(options, output)
+        for field in dataclasses.fields(options):
+            if field.name in NOT_FOR_PAGES and getattr(options, field.name) != field.default:
+                option = "--no-labels" if field.name == "labels" else f"--{field.name}"
+                raise InputError(f"{output}: expected no {option} with a page, found it; leave it out")
     elif background_of(options.background) is None and suffix != ".png":
         raise InputError(f"{output}: expected a .png for --background none, found '{suffix}'; rename it")
 
 
-def _check_page(options: RenderOptions, output: Path) -> None:
-    """Raise InputError for options that pages have not."""
-    for field in dataclasses.fields(options):
-        if field.name in NOT_FOR_PAGES and getattr(options, field.name) != field.default:
-            option = "--no-labels" if field.name == "labels" else f"--{field.name}"
-            raise InputError(f"{output}: expected no {option} with a page, found it; leave it out")
-
-
 def _flags(options: RenderOptions) -> list[str]:
-    """Return the options that are given and choose the kind of picture."""
     flags = {"--sheet": options.sheet, "--strip": options.strip, "--turntable": options.turntable}
     flags["--truth"] = options.truth is not None
     return [name for name, on in flags.items() if on]
 
 
 def _look(options: RenderOptions) -> dict[str, Any]:
-    """Return arguments that all drawing functions have."""
     look = {name: getattr(options, name) for name in ("view", "up", "front", "labels")}
     return {**look, "background": background_of(options.background)}
 
 
 def background_of(name: str) -> sheet.Color:
-    """Return the sRGB colour (0..1) of a name in BACKGROUNDS or of #rrggbb; None for "none".
-
-    Raises:
-        InputError: neither.
-    """
+    """Return the sRGB colour (0..1) of a name in BACKGROUNDS or of #rrggbb; None for "none"."""
     if name in BACKGROUNDS:
         return BACKGROUNDS[name]
     digits = name.removeprefix("#")
@@ -123,9 +108,6 @@ def draw(
     """Write a picture, movie or page of clips (a mesh is a clip of one frame), and return its kind.
 
     `cut` are the frames of their files that the clips have: those of a truth that moves are chosen alike.
-
-    Raises:
-        InputError: as `check_options`; several files for a picture of one; or the output cannot be written.
     """
     check_options(options, output)
     kind = kind_of(options, output, clips)
@@ -159,7 +141,6 @@ def _write_page(
 
 
 def _movie(kind, options, names, clips, cut) -> tuple[Iterator[Image.Image], int, float]:
-    """Return the pictures of a movie, their number, and the frame rate."""
     if kind == "turning movie":
         look = {name: value for name, value in _look(options).items() if name != "labels"}
         mesh = _first_frame(_single(names, clips))
@@ -175,7 +156,6 @@ def _movie(kind, options, names, clips, cut) -> tuple[Iterator[Image.Image], int
 
 
 def _picture(kind, options, names, clips, cut) -> Image.Image:
-    """Draw a picture that does not move."""
     look = {**_look(options), "clay": options.clay}
     if kind == "strip":
         return sheet.stack([sheet.strip(clip, 8, options.tile(0.75), **look) for clip in clips])
@@ -186,7 +166,6 @@ def _picture(kind, options, names, clips, cut) -> Image.Image:
 
 
 def _heat(options: RenderOptions, clip: Clip, cut: FrameRange) -> Iterator[Image.Image]:
-    """Draw heat maps of the frames: distance to the truth (mm)."""
     assert options.truth is not None
     truth = _truth(options.truth, cut)
     frames = np.asarray(truth.vertices if len(truth) > 1 else truth.mesh.vertices[None])
@@ -200,7 +179,6 @@ def _truth(path: Path, cut: FrameRange, fps: float | None = None) -> Clip:
 
 
 def _first_frame(clip: Clip):
-    """Return the mesh of a clip with the vertices of its first frame."""
     return clip.mesh if len(clip) == 1 else clip.mesh.with_vertices(clip.vertices[0].astype(np.float64))
 
 

@@ -13,15 +13,16 @@ from jaxtyping import Float, Int
 from ..bodies.anatomy import body_of_joints
 from ..bodies.joint_names import person_joints
 from ..core.errors import RefusedMeshError
-from ..core.geometry import face_areas, face_vectors, weld
+from ..core.geometry import component_labels, edges, face_areas, face_vectors, weld
 from ..core.mesh import Clip, Mesh
 from ..core.printable import listed, printable
 from ..io.beside import missing_images, missing_images_notes
+from ..io.polygons import polygon_sizes
 from ..methods.find import find_mime
-from ..pipeline.corrections import Corrections
 from ..pipeline.file_rigs import NO_RIGS
 from ..pipeline.gltf_rigs import known_joints, rig_facts
 from ..pipeline.joint_route import found_character
+from ..pipeline.known import Corrections
 from ..pipeline.look import KINDS, Subject, joint_finder
 from .convert import unit_guess
 
@@ -110,11 +111,7 @@ class FileFacts:
 
 
 def inspect_file(path: str | Path) -> FileFacts:
-    """Read a mesh, a clip or a folder of frames and collect its facts.
-
-    Raises:
-        InputError: the file cannot be read (see `mimesh.io`).
-    """
+    """Read a mesh, a clip or a folder of frames and collect its facts."""
     from ..io import load_clip
 
     clip = load_clip(path)
@@ -143,12 +140,12 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
     moving = clip is not None and len(clip) > 1
     return FileFacts(
         name=path.name if path else mesh.name,
-        format=_format(path),
+        format="memory" if path is None else "folder" if path.is_dir() else path.suffix.lstrip(".").lower(),
         vertices=len(mesh.vertices),
         positions=len(merged),
         faces=len(mesh.faces),
-        polygons=_polygons(mesh),
-        components=_components(proper, len(merged)),
+        polygons=len(polygon_sizes(mesh)) if hasattr(mesh.source, "sizes") else None,
+        components=len(np.unique(component_labels(edges(proper), len(merged))[proper[:, 0]])),
         low=_triple(low),
         high=_triple(high),
         unit_guess=unit_guess(float((high - low).max())),
@@ -178,7 +175,6 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
 
 
 def _rows(facts: FileFacts) -> Iterator[tuple[str, str]]:
-    """Yield the lines of the text, as name and value."""
     split = f" at {facts.positions:,} positions" if facts.positions != facts.vertices else ""
     yield "format", facts.format
     yield from facts.details
@@ -187,13 +183,17 @@ def _rows(facts: FileFacts) -> Iterator[tuple[str, str]]:
     yield "faces", f"{facts.faces:,}{triangles}" if facts.faces else "none (a point cloud)"
     if facts.faces:
         yield "components", f"{facts.components:,}"
-    yield "size", " x ".join(f"{side:.4g}" for side in facts.size) + _in_unit(facts)
+    unit = f" (a person, if the unit is {facts.unit_guess})" if facts.unit_guess else ""
+    yield "size", " x ".join(f"{side:.4g}" for side in facts.size) + unit
     yield "bounds", " to ".join("(" + ", ".join(f"{v:.4g}" for v in corner) + ")" for corner in (facts.low, facts.high))
     if facts.stands:
         yield "stands", facts.stands
     if facts.faces:
-        yield "surface", _surface(facts)
-    yield "looks", _looks(facts)
+        border = f"open, {_plural(facts.boundary_edges, 'boundary edge')}" if facts.boundary_edges else ""
+        yield "surface", "closed" if facts.watertight else border or "closed, non-manifold"
+    looks = ["UVs"] * facts.has_uv + ["normals"] * facts.has_normals + ["vertex colours"] * facts.has_colors
+    looks += [_plural(facts.textures, "texture")] * bool(facts.textures)
+    yield "looks", ", ".join(looks) or "no UVs, normals or textures"
     if facts.parts:
         yield "parts", _names(facts.parts)
     if facts.materials:
@@ -218,23 +218,6 @@ def _warnings(facts: FileFacts) -> Iterator[str]:
         yield f"{_plural(facts.loose_vertices, 'vertex', 'vertices')} of no face; delete them if they mean nothing"
 
 
-def _in_unit(facts: FileFacts) -> str:
-    return f" (a person, if the unit is {facts.unit_guess})" if facts.unit_guess else ""
-
-
-def _surface(facts: FileFacts) -> str:
-    if facts.watertight:
-        return "closed"
-    return f"open, {_plural(facts.boundary_edges, 'boundary edge')}" if facts.boundary_edges else "closed, non-manifold"
-
-
-def _looks(facts: FileFacts) -> str:
-    found = ["UVs"] * facts.has_uv + ["normals"] * facts.has_normals + ["vertex colours"] * facts.has_colors
-    if facts.textures:
-        found.append(_plural(facts.textures, "texture"))
-    return ", ".join(found) or "no UVs, normals or textures"
-
-
 def _names(names: tuple[str, ...]) -> str:
     return f"{len(names)}: {listed(list(dict.fromkeys(names)), MOST_NAMES)}"
 
@@ -243,14 +226,7 @@ def _plural(count: int, singular: str, plural: str | None = None) -> str:
     return f"{count:,} {singular if count == 1 else plural or singular + 's'}"
 
 
-def _polygons(mesh: Mesh) -> int | None:
-    from ..io.polygons import polygon_sizes
-
-    return len(polygon_sizes(mesh)) if hasattr(mesh.source, "sizes") else None
-
-
 def _other_facts(path: Path, clip: Clip) -> tuple[tuple[str, ...], tuple[tuple[str, str], ...]]:
-    """Return animations and details of a file without a mesh, or of a body model."""
     from ..io.formats import ANIMATED, is_body_model
     from ..io.gltf.animation import animation_names, document_details
     from ..io.gltf.document import open_document
@@ -290,12 +266,6 @@ def _stands(mesh: Mesh) -> str:
     return f"up {norm.up}{by_file}, front {norm.front}, taken for {KINDS[seen.body]}{guess}"
 
 
-def _format(path: Path | None) -> str:
-    if path is None:
-        return "memory"
-    return "folder" if path.is_dir() else path.suffix.lstrip(".").lower()
-
-
 def _triple(vector: Float[np.ndarray, " 3"]) -> tuple[float, float, float]:
     x, y, z = (float(v) for v in vector)
     return x, y, z
@@ -308,18 +278,6 @@ def _edge_use(faces: Int[np.ndarray, "F 3"]) -> tuple[Int[np.ndarray, " E"], Int
     _, edge, counts = np.unique(np.sort(pairs, axis=1), axis=0, return_inverse=True, return_counts=True)
     balance = np.bincount(edge.reshape(-1), forward, minlength=len(counts)).astype(np.int64)
     return counts.astype(np.int64), balance
-
-
-def _components(faces: Int[np.ndarray, "F 3"], size: int) -> int:
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    if len(faces) == 0:
-        return 0
-    ends = np.concatenate([faces[:, :2], faces[:, 1:]])
-    graph = coo_array((np.ones(len(ends), bool), (ends[:, 0], ends[:, 1])), shape=(size, size))
-    _, label = connected_components(graph, directed=False)
-    return len(np.unique(label[faces[:, 0]]))
 
 
 def _inside_out(vertices: Float[np.ndarray, "W 3"], faces: Int[np.ndarray, "F 3"], counts) -> bool | None:

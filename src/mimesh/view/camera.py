@@ -173,7 +173,11 @@ def follow(
     # The camera stays at its height, so that jumps are visible as such.
     offsets -= (offsets @ vertical)[:, None] * vertical
     camera = fit(extreme_points(points, size, view, offsets, up=up, front=front), size, view, up=up, front=front)
-    return [translate_camera(camera, offset) for offset in offsets]
+    heights = camera.floor + offsets @ camera.up
+    return [
+        dataclasses.replace(camera, eye=camera.eye + offset, centre=camera.centre + offset, floor=float(height))
+        for offset, height in zip(offsets, heights, strict=True)
+    ]
 
 
 def rotate_camera(camera: Camera, degrees: float) -> Camera:
@@ -184,12 +188,6 @@ def rotate_camera(camera: Camera, degrees: float) -> Camera:
         rotmat_camera_world=camera.rotmat_camera_world @ rotmat.T,
         eye=camera.centre + rotmat @ (camera.eye - camera.centre),
     )
-
-
-def translate_camera(camera: Camera, offset: Float[np.ndarray, " 3"]) -> Camera:
-    """Move a camera and its floor by an offset in world coordinates."""
-    floor = camera.floor + float(offset @ camera.up)
-    return dataclasses.replace(camera, eye=camera.eye + offset, centre=camera.centre + offset, floor=floor)
 
 
 def _axis_rotation(axis, degrees) -> Float[np.ndarray, "3 3"]:
@@ -226,7 +224,6 @@ def _eye(local, reach, radius):
 
 
 def _angles(view: str | tuple[float, float]) -> tuple[float, float]:
-    """Look up azimuth and elevation of a view, in degrees."""
     if not isinstance(view, str):
         return view
     if view not in VIEWS:

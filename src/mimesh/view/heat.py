@@ -30,18 +30,12 @@ MILLIMETRES = 1000.0
 
 
 def heat_map(
-    result: Mesh,
-    truth: Mesh | Float[np.ndarray, "V 3"],
-    limit: float | None = None,
-    tile: tuple[int, int] = TILE,
+    result: Mesh, truth: Mesh | Float[np.ndarray, "V 3"], limit: float | None = None, tile: tuple[int, int] = TILE
 ) -> Image.Image:
     """Draw the result (metres) coloured by each vertex's distance to the truth, with a colour bar in millimetres.
 
     Args:
         limit: distance in metres at the last colour; by default the 99th percentile.
-
-    Raises:
-        InputError: result and truth have different numbers of vertices.
     """
     points = truth if isinstance(truth, np.ndarray) else truth.vertices
     shown_limit = None if limit is None else limit * MILLIMETRES
@@ -123,7 +117,6 @@ def color_bar(picture: np.ndarray, limit: float, unit: str, clipped: bool) -> np
 
 
 def _limit(clip: Clip, truth: Float[np.ndarray, "T V 3"]) -> float:
-    """Return the 99th percentile of the distances over SAMPLED frames; 1 if it is zero."""
     # A percentile, since the maximum is often one broken vertex that would leave the rest without colour.
     chosen = np.unique(np.linspace(0, len(clip) - 1, SAMPLED).round().astype(int)).tolist()
     values = [_distances(np.asarray(clip.vertices[t], np.float64), truth, t) for t in chosen]

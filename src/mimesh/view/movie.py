@@ -33,11 +33,7 @@ MOVIE_SIZE = (640, 720)
 
 
 def write_clip(clip: Clip, path: Path, frames_as: str | None = None, progress: Progress | None = None) -> None:
-    """Write a clip as a file, a folder of frames or a movie.
-
-    Raises:
-        InputError: a format without clips, or a path that cannot be written to.
-    """
+    """Write a clip as a file, a folder of frames or a movie."""
     if path.suffix.lower() not in MOVIES:
         save_clip(clip, path, suffix=frames_as, progress=progress)
         return
@@ -57,6 +53,8 @@ def save_movie(frames: Iterable[Image.Image | np.ndarray], path: str | Path, fps
     Raises:
         InputError: another suffix, no frames, a frame rate that is not positive, no PyAV, or a Pillow without WebP.
     """
+    from PIL import Image
+
     path = Path(path)
     suffix = path.suffix.lower()
     writers = {".webp": _write_webp, ".gif": _write_gif}
@@ -66,7 +64,7 @@ def save_movie(frames: Iterable[Image.Image | np.ndarray], path: str | Path, fps
     check_writable(path)
     if not fps > 0:
         raise InputError(f"{path}: expected a positive frame rate, found {fps:g}; give one with {option('fps', ...)}")
-    pictures = (_as_image(frame) for frame in frames)
+    pictures = (Image.fromarray(x) if isinstance(x, np.ndarray) else x.convert("RGB") for x in frames)
     if suffix == ".mp4":
         with writing(path), whole_file(path) as temporary:
             return _write_mp4(pictures, temporary, fps)
@@ -169,12 +167,6 @@ def clip_cameras(
     return [fit(extreme_points(clip.vertices, size, view, up=up, front=front), size, view, up=up, front=front)] * len(
         clip
     )
-
-
-def _as_image(frame: Image.Image | np.ndarray) -> Image.Image:
-    from PIL import Image
-
-    return Image.fromarray(frame) if isinstance(frame, np.ndarray) else frame.convert("RGB")
 
 
 def _write_webp(images: list[Image.Image], path: Path, fps: float) -> None:

@@ -79,10 +79,6 @@ def player_page(
         notes: messages shown below the panels.
         download: a file that the page offers; it may take half of the budget.
         budget: size of the page in bytes; see `pack_scene` for what is reduced.
-        motion: limits of the motion alone.
-
-    Raises:
-        InputError: no panel, or a role that is not one of ROLES.
     """
     script, style = web_file("player.js"), web_file("player.css")
     # What the page itself leaves: script and style take about 0.6 MB.
@@ -94,15 +90,13 @@ def player_page(
     # File names may contain bytes that are not valid text (surrogate escapes).
     escaped_title = html.escape(title).encode("ascii", "xmlcharrefreplace").decode("ascii")
     policy = "; ".join(POLICY).format(script=_source_hash(script), style=_source_hash(style))
-    return PAGE.format(policy=policy, title=escaped_title, style=style, scene=embed_json(scene), script=script)
+    # Without `<`, nothing in the JSON can end its script element or open a comment.
+    packed = json.dumps(scene, ensure_ascii=True, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    return PAGE.format(policy=policy, title=escaped_title, style=style, scene=packed, script=script)
 
 
 def write_player(path: str | Path, panels: Sequence[Panel], **options: Any) -> Path:
-    """Write `player_page` to a file, completely or not at all.
-
-    Raises:
-        InputError: as `player_page`, a name that does not end in .html, or a path that cannot be written.
-    """
+    """Write `player_page` to a file, completely or not at all."""
     if Path(path).suffix.lower() != ".html":
         found = Path(path).suffix
         raise InputError(f"{path}: expected a name that ends in .html, found '{found}'; name the page so")
@@ -117,11 +111,6 @@ def notebook_frame(panels: Sequence[Panel], **options: Any) -> str:
     page = player_page(panels, title=panels[0].clip.mesh.name, budget=NOTEBOOK_BUDGET, **options)
     style = "width:100%;height:520px;border:0;border-radius:12px"
     return f'<iframe srcdoc="{html.escape(page)}" style="{style}" title="mimesh player"></iframe>'
-
-
-def embed_json(value: Any) -> str:
-    """Encode JSON for a script element: without `<`, nothing in it can end the element or open a comment."""
-    return json.dumps(value, ensure_ascii=True, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
 
 
 def web_file(name: str) -> str:

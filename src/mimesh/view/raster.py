@@ -51,7 +51,6 @@ def render(
         supersample: s gives s * s samples per pixel, no two of them in one row or column.
         corner_normals: shading normals; smooth with creases by default.
         surface: base colours as `textures.materials` gives them, instead of `colors`.
-        shadows: a shadow on the floor.
         background: sRGB in 0..1; None gives RGBA with nothing behind the subject and its shadow.
     """
     if len(faces) == 0:

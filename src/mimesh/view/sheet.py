@@ -161,7 +161,6 @@ def stack(rows: Sequence[Image.Image]) -> Image.Image:
 
 
 def _draw_signs(sheet: Image.Image, tile: tuple[int, int]) -> None:
-    """Draw + and = between the first three tiles of a new sheet."""
     from PIL import ImageDraw
 
     draw = ImageDraw.Draw(sheet)

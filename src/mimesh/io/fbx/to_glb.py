@@ -32,9 +32,9 @@ from ...core.geometry import continuous_quaternions
 from ..beside import is_there
 from ..gltf.animation import AnimationChannel, add_animation
 from ..gltf.check import ARRAY_BUFFER
-from ..gltf.document import image_type
 from ..gltf.draft import PER_SET, Draft, NumberTooLarge, accessor_bounds
 from ..gltf.scene import DEFAULT_TRS
+from ..mtl import image_type
 from ..polygons import fan_corners
 from ..timing import DEFAULT_FPS, HIGHEST_FPS, LONGEST, frame_count
 
@@ -65,11 +65,7 @@ REPEAT, CLAMP_TO_EDGE = 10497, 33071
 
 
 def write_glb(source: Path, target: Path) -> None:
-    """Read an FBX file and write it as a .glb with all images embedded.
-
-    Raises:
-        InputError: no FBX file, or a damaged one.
-    """
+    """Read an FBX file and write it as a .glb with all images embedded."""
     try:
         scene = _load(source)
     except ufbx.UfbxError as error:
@@ -106,7 +102,6 @@ def _unit(scene: Any) -> float:
 
 
 def _draft(scene: Any, source: Path) -> Draft:
-    """Return a glTF draft of a scene."""
     draft = Draft({"asset": {"version": "2.0", "generator": "mimesh"}, "scene": 0, "scenes": [{}]})
     nodes = items(scene.nodes)
     draft.gltf["nodes"] = [_node(node) for node in nodes[1:]]
@@ -128,7 +123,6 @@ def _draft(scene: Any, source: Path) -> Draft:
 
 
 def _node(node: Any) -> dict[str, Any]:
-    """Return the JSON of a node without its mesh."""
     entry: dict[str, Any] = {"name": node.name} if node.name else {}
     transform = node.local_transform
     for key, default in DEFAULT_TRS.items():
@@ -440,7 +434,6 @@ class MaterialWriter:
         return self._materials[key]
 
     def _entry(self, material: Any, uv_names: list[str]) -> dict[str, Any]:
-        """Return the JSON of a material."""
         maps = own(material.pbr)
         base, factor, opacity = own(maps.base_color), own(maps.base_factor), own(maps.opacity)
         roughness, metalness = own(maps.roughness), own(maps.metalness)
@@ -545,7 +538,6 @@ def _as_png(content: bytes) -> bytes | None:
 
 
 def _share(value: float) -> float:
-    """Clamp to 0..1."""
     return float(min(max(value, 0.0), 1.0)) if np.isfinite(value) else 1.0
 
 

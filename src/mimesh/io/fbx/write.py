@@ -32,11 +32,12 @@ from ...core.printable import file_name, numbered
 from ..atomic import scratch_folder
 from ..child_process import MIB, last_line
 from ..gltf.animation import AnimationChannel, add_animation, animation_names, frame_rate, frame_times, read_channels
-from ..gltf.document import Document, image_type, open_document, uri_file_name
+from ..gltf.document import Document, open_document, uri_file_name
 from ..gltf.draft import AccessorCopier, Draft
 from ..gltf.own_animation import node_value
 from ..gltf.read import base_color_of, base_texture_of
 from ..gltf.scene import node_parents, read_inverse_bind_matrices, world_matrices
+from ..mtl import image_type
 from ..timing import DEFAULT_FPS
 
 SCRIPT = Path(__file__).with_name("blender_export.py")
@@ -96,9 +97,6 @@ def write_fbx(glb: Path, target: Path, name: Path) -> None:
 
     Args:
         name: the file that error messages name.
-
-    Raises:
-        InputError: no Blender, or one that fails or does not end.
     """
     command = find_blender(name)
     document = open_document(glb)

@@ -4,8 +4,7 @@ Files in .fbx are read as glTF (see `io.fbx`), and written as .glb.
 
 check -> document                         opens files, also compressed and damaged ones
 document -> scene -> read                 reads the scene of an open file at rest as a Mesh, or as a rigged character
-draft -> edit                             writes the file of a Mesh again, with other vertices
-build                                     builds the file of any Mesh: its own one again, or a new one
+draft -> edit                             builds the file of any Mesh: its own one with other vertices, or a new one
 animation                                 reads animations and bakes them to vertex positions
 skinned                                   writes joints, with a mesh or alone
 motion, vrm                               plays animated joints without a mesh on the shipped body; extensions of VRM
@@ -32,12 +31,11 @@ from ...motions.on_body import first_frame, on_body
 from ..formats import gltf_file
 from ..timing import DEFAULT_FPS
 from .animation import frame_rate, frame_times, posed_vertices, sample_nodes, select_channels, unposed_vertices
-from .build import build_document
 from .check import ARRAY_BUFFER, is_supported, list_primitives
 from .document import Document, open_document
 from .draft import Draft, Spool
-from .edit import GltfSource, PrimitiveGroup, with_normals
-from .motion import PLAYED_PATHS, is_motion, read_skeleton
+from .edit import GltfSource, PrimitiveGroup, build_document, with_normals
+from .motion import is_motion, read_skeleton
 from .own_rig import GltfJoints
 from .read import RestScene, read_rest
 
@@ -85,33 +83,26 @@ def read_gltf_clip(
         fps: frames a second; None: the rate that the file's keys lie on, else 30. Frame k is at k / fps seconds.
         animation: its name, the part of its name after the last "|", or its index; None: the first animation, together
             with those that move other nodes.
-
-    Raises:
-        InputError: as `read_gltf`, no such animation, or a damaged one.
     """
     document = open_document(path)
     if is_motion(document):
         clip = on_body(read_skeleton(document, fps, animation), path).clip()
         person = None if clip.skeleton is None else clip.skeleton.person()
         channels, times = select_channels(document, animation), np.arange(len(clip)) / clip.fps
-        own_fps = frame_rate([channel for channel in channels if channel.path in PLAYED_PATHS]) or DEFAULT_FPS
-        joints = GltfJoints(document, channels, times, None, person, whole=clip.fps == own_fps)
-        return dataclasses.replace(clip, skeleton=joints)
+        return dataclasses.replace(clip, skeleton=GltfJoints(document, channels, times, None, person))
     mesh = _read_mesh(document)
     assert isinstance(mesh.source, GltfSource)
     if animation is None and not mesh.source.animations:
         clip = Clip(mesh, mesh.vertices[None], fps or DEFAULT_FPS)
         return dataclasses.replace(clip, skeleton=still_joints(mesh))
     channels = select_channels(document, animation)
-    own_fps = frame_rate(channels) or DEFAULT_FPS
-    fps = fps or own_fps
+    fps = fps or frame_rate(channels) or DEFAULT_FPS
     times = frame_times(document, channels, fps)
     check_clip_size(len(times), len(mesh.vertices), path)
     parts = unposed_vertices(document, mesh.source.rest, [(channel.node, channel.path) for channel in channels])
     frames = posed_vertices(document, parts, sample_nodes(document, channels, times))
     vertices = store_frames(frames, len(times), len(mesh.vertices), progress=progress)
-    skeleton = GltfJoints(document, channels, times, mesh, whole=fps == own_fps)
-    return Clip(mesh.with_vertices(vertices[0]), vertices, fps, skeleton=skeleton)
+    return Clip(mesh.with_vertices(vertices[0]), vertices, fps, skeleton=GltfJoints(document, channels, times, mesh))
 
 
 def still_joints(mesh: Mesh) -> GltfJoints | None:

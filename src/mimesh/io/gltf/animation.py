@@ -22,21 +22,10 @@ from ...core.errors import InputError, damaged, option
 from ...core.geometry import continuous_quaternions
 from ...core.rig import local_rotations
 from ..timing import LONGEST, RATES, frame_count, lie_on, sample_rate, usual_rate
+from . import scene
 from .document import Document, read_floats
 from .draft import Draft
 from .read import RestScene, get_primitive
-from .scene import (
-    SkinBinding,
-    animated_matrices,
-    inner_products,
-    normalized_quaternions,
-    read_morph_weights,
-    read_morphed_attribute,
-    read_skin_binding,
-    target_count,
-    transform_points,
-    world_matrices,
-)
 
 AnimatedValues = dict[tuple[int, str], Float[np.ndarray, "T _"]]
 """Values of the animated properties in T frames, by (node, target path)."""
@@ -83,7 +72,7 @@ class AnimationChannel:
         values = self.values[np.minimum(next_key, len(self.times) - 1), value_columns]
         inside = (next_key > 0) & (next_key < len(self.times))
         values[inside] = self._interpolate(next_key[inside], times[inside], value_columns)
-        return normalized_quaternions(values) if self.path == "rotation" else values
+        return scene.normalized_quaternions(values) if self.path == "rotation" else values
 
     def _interpolate(
         self, next_key: Int[np.ndarray, " T"], times: Float[np.ndarray, " T"], value_columns: slice
@@ -188,11 +177,6 @@ def find_animation(names: Sequence[str], selector: str, path: Path) -> int:
 
     Blender exports names such as "Armature|Walk". Case is ignored where no name is equal.
 
-    Args:
-        names: those of the animations of a file.
-        selector: what is looked for.
-        path: that of the file, for errors.
-
     Raises:
         InputError: no animation matches, or several do; the message lists their names.
     """
@@ -242,7 +226,7 @@ def _read_channels(document: Document, animation: int) -> list[AnimationChannel]
                 read = _read_channel(document, target, entry["samplers"][channel["sampler"]])
                 numbers += read.times.size + read.values.size
                 KEYS.check(numbers, document.path, len(document.binary))
-                if read.path != "weights" or target_count(document, read.node):
+                if read.path != "weights" or scene.target_count(document, read.node):
                     channels.append(read)
     except (KeyError, IndexError, TypeError) as error:
         expected = f"channels with samplers in animation {animation}"
@@ -251,11 +235,7 @@ def _read_channels(document: Document, animation: int) -> list[AnimationChannel]
 
 
 def animated_nodes(document: Document, paths: Collection[str]) -> set[int]:
-    """List the nodes whose properties of some target paths any animation moves, without reading keys.
-
-    Raises:
-        InputError: a channel without a target.
-    """
+    """List the nodes whose properties of some target paths any animation moves, without reading keys."""
     count, found = len(document.gltf.get("nodes", [])), set()
     for number, entry in enumerate(document.gltf.get("animations", [])):
         try:
@@ -273,9 +253,6 @@ def select_channels(document: Document, selector: str | None) -> list[AnimationC
     Complementing animations are those, in file order, whose targets no chosen animation has. Blender writes one
     animation for each object that moves, and all of them belong together; animations of the same targets are
     alternatives (measured with Blender 4.5 and 5.0, docs/log/formats.md).
-
-    Raises:
-        InputError: as `find_animation` and `read_channels`.
     """
     if selector is not None:
         return read_channels(document, find_animation(animation_names(document), selector, document.path))
@@ -337,7 +314,7 @@ def slerp(
     Nearly equal ones are interpolated linearly, because the formula divides by the sine of their angle; the caller
     normalizes.
     """
-    cosine = inner_products(a, b)
+    cosine = scene.inner_products(a, b)
     b, cosine = np.where(cosine < 0, -b, b), np.abs(cosine)
     values = (1 - s) * a + s * b
     far = cosine[:, 0] <= LINEAR_COSINE
@@ -354,7 +331,7 @@ class UnposedVertices:
     primitive: dict[str, Any]
     positions: Float[np.ndarray, "U 3"] | None
     """Positions of the distinct vertices before skinning; None where morph weights are animated."""
-    binding: SkinBinding | None
+    binding: scene.SkinBinding | None
     """Joints and weights of the distinct vertices; None where the primitive is not skinned."""
     distinct_of: Int[np.ndarray, " V"]
     """Index of the distinct vertex that each vertex of the range equals."""
@@ -397,7 +374,7 @@ def pose_nodes(document: Document, values: AnimatedValues, frames: int) -> NodeB
     for start in range(0, frames, FRAMES_PER_BLOCK):
         some = {key: value[start : start + FRAMES_PER_BLOCK] for key, value in values.items()}
         count = min(FRAMES_PER_BLOCK, frames - start)
-        yield some, world_matrices(document, animated_matrices(document, some, count))
+        yield some, scene.world_matrices(document, scene.animated_matrices(document, some, count))
 
 
 def unposed_vertices(document: Document, rest: RestScene, animated: Iterable[tuple[int, str]]) -> list[UnposedVertices]:
@@ -405,12 +382,14 @@ def unposed_vertices(document: Document, rest: RestScene, animated: Iterable[tup
     morphed, parts = {node for node, path in animated if path == "weights"}, []
     for span in rest.vertex_ranges:
         primitive = get_primitive(document, (span.node, span.primitives[0]))
-        binding = read_skin_binding(document, span.node, primitive)
+        binding = scene.read_skin_binding(document, span.node, primitive)
         if span.node in morphed:  # all vertices, because any of them may get a position of its own
             every = np.arange(span.stop - span.start)
             parts.append(UnposedVertices(span.node, primitive, None, binding, every))
             continue
-        positions = read_morphed_attribute(document, primitive, "POSITION", read_morph_weights(document, span.node))
+        positions = scene.read_morphed_attribute(
+            document, primitive, "POSITION", scene.read_morph_weights(document, span.node)
+        )
         assert positions is not None
         # Vertices with one position and one set of influences stay together in all frames.
         keys = positions if binding is None else np.concatenate([positions, binding.joints, binding.weights], axis=1)
@@ -434,9 +413,9 @@ def posed_vertices(
                 positions = part.positions
                 if positions is None:
                     weights = morph_weights[part.node][t].tolist()
-                    positions = read_morphed_attribute(document, part.primitive, "POSITION", weights)
+                    positions = scene.read_morphed_attribute(document, part.primitive, "POSITION", weights)
                 assert positions is not None
                 # glTF 2.0, 3.7.3.2 Joint Hierarchy: a skinned mesh ignores the transform of its own node.
                 matrices = T_world[part.node][None, :3] if part.binding is None else part.binding.matrices(T_world)
-                shown.append(transform_points(matrices, positions)[part.distinct_of])
+                shown.append(scene.transform_points(matrices, positions)[part.distinct_of])
             yield np.concatenate(shown)

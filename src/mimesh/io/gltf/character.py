@@ -236,9 +236,6 @@ def rig_at_rest(
     """Read the rig of a mesh with the nodes of `scene` as its rest pose, without scales, and the node of each joint.
 
     Joints are those of the shown skins, else the nodes of rigid parts, and `bones`.
-
-    Raises:
-        InputError: positions that are not finite.
     """
     path, joint_nodes = document.path, skin_joints(document, scene)
     if not joint_nodes:
@@ -370,12 +367,10 @@ def _nearest_axis(direction: np.ndarray) -> str:
 
 
 def _middle(rig: SkinnedCharacter, joints: dict[str, int], part: str) -> Float[np.ndarray, " 3"]:
-    """Compute the midpoint of the left and right joint of a part."""
     return (rig.joints[joints[f"Left{part}"]] + rig.joints[joints[f"Right{part}"]]) / 2
 
 
 def _places(rig: SkinnedCharacter, joints: dict[str, int]) -> dict[str, Float[np.ndarray, " 3"]]:
-    """Return the position of each named joint."""
     return {name: rig.joints[joint] for name, joint in joints.items()}
 
 
@@ -392,9 +387,6 @@ def read_standing_animal(mesh: Mesh, document: Document, scene: RestScene) -> St
     """Read the rig of a scene in its bind pose, or in the pose of the file's nodes where it stands in none.
 
     Bind poses of other orientations are not tried: a person who lies has four feet on the ground, too.
-
-    Raises:
-        InputError: there are no four legs on one skeleton.
     """
 
     def standing(scene: RestScene) -> StandingCharacter:

@@ -222,15 +222,7 @@ def check_document(gltf: Any, path: Path) -> None:
 
 
 def check_sizes(gltf: dict[str, Any], size: int, path: Path) -> None:
-    """Check the numbers of vertices, triangles and morph targets that nodes show, each as often as shown.
-
-    Args:
-        gltf: the JSON, checked by `check_document`.
-        size: bytes of all buffers.
-
-    Raises:
-        InputError: a number is above its budget, or too many nodes are below each other.
-    """
+    """Check the numbers of vertices, triangles and morph targets that nodes show, each as often as shown."""
     nodes, accessors = gltf.get("nodes", []), gltf.get("accessors", [])
     # How many nodes are below each other; loops are reported by those who walk the tree.
     below = {child for node in nodes for child in node.get("children", [])}
@@ -262,11 +254,7 @@ def check_sizes(gltf: dict[str, Any], size: int, path: Path) -> None:
 
 
 def element_size(accessor: dict[str, Any], index: int, path: Path) -> int:
-    """Return the bytes of one element; columns of matrices start at multiples of 4 bytes (3.6.2.4 Data Alignment).
-
-    Raises:
-        InputError: the component type or the type is not one of glTF 2.0.
-    """
+    """Return the bytes of one element; columns of matrices start at multiples of 4 bytes (3.6.2.4 Data Alignment)."""
     component, kind = accessor["componentType"], accessor["type"]
     if component not in COMPONENT_TYPES or kind not in COMPONENT_COUNTS:
         raise damaged(path, f"a glTF 2.0 type in accessor {index}", f"{component} {kind}")
@@ -280,11 +268,6 @@ def element_size(accessor: dict[str, Any], index: int, path: Path) -> int:
 def list_primitives(gltf: dict[str, Any]) -> list[dict[str, Any]]:
     """List the primitives of all meshes."""
     return [primitive for mesh in gltf.get("meshes", []) for primitive in mesh["primitives"]]
-
-
-def attribute_accessors(primitive: dict[str, Any]) -> list[int]:
-    """List the accessors of a primitive's attributes, and of those of its morph targets."""
-    return [index for owner in (primitive["attributes"], *primitive.get("targets", [])) for index in owner.values()]
 
 
 def _check_primitive(gltf: dict[str, Any], primitive: dict[str, Any], path: Path) -> None:
@@ -307,7 +290,6 @@ def _check_primitive(gltf: dict[str, Any], primitive: dict[str, Any], path: Path
 
 
 def _values_at(value: Any, location: str, path: Path) -> Iterator[Any]:
-    """Yield all values at a location of the JSON tree."""
     step, _, rest = location.partition(" ")
     if step == "[]":
         _expect(isinstance(value, list), path, f"a list before '{location}'", value)

@@ -12,10 +12,9 @@ animation (.vrma) animates them.
 
 from __future__ import annotations
 
-import dataclasses
 import re
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
@@ -23,24 +22,13 @@ from jaxtyping import Float
 from ...bodies.joint_names import ancestors
 from ...core.errors import InputError
 from ...core.geometry import continuous_quaternions, nearest_rotation
+from . import scene
 from .animation import AnimatedValues, AnimationChannel, animated_nodes, sample_joints
 from .document import Document
 from .edit import GltfSource
 from .motion import PLAYED_PATHS, rest_matrices
 from .own_rig import GltfJoints, node_tracks
 from .read import unweighted_parts
-from .scene import (
-    DEFAULT_TRS,
-    local_matrices,
-    local_matrix,
-    node_name,
-    node_parents,
-    node_properties,
-    normalized_quaternions,
-    read_morph_weights,
-    target_count,
-    world_matrices,
-)
 from .vrm import OVERRIDDEN, Expression, animated_expressions, vrm_expressions
 
 SAME_ROTATION, SAME_BONE = 0.01, 0.002
@@ -67,8 +55,6 @@ class SharedMotion:
     """Whether both skeletons have the same rest pose and size, so that the copy is exact."""
     alike: bool
     """Whether the rest poses are alike enough for the copy of the whole skeleton."""
-    keys: dict[tuple[int, str], AnimationChannel] = field(default_factory=dict)
-    """Keys of the driving file, where they can be copied as they are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,11 +100,12 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
     scale = 1.0 if same_rest else float(lengths[0].sum() / max(lengths[1].sum(), 1e-12))
     values = driving.values()
     tracks: AnimatedValues = {}
-    sources: dict[tuple[int, str], tuple[int, str]] = {}
     for k, (node, other) in enumerate(pairs.items()):
         if turned[k] >= ALIKE:
             continue
-        own, static = (node_properties(document.gltf["nodes"][n]) for document, n in ((mine, node), (theirs, other)))
+        own, static = (
+            scene.node_properties(document.gltf["nodes"][n]) for document, n in ((mine, node), (theirs, other))
+        )
         for path in ("translation", "rotation", "scale"):
             value = values.get((other, path), np.array(static[path], float)[None])
             if path == "translation" and not same_rest:
@@ -129,10 +116,9 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
                     Rotation.from_matrix(nearest_rotation(rest[k, :3, :3])) for rest in (my_rest, their_rest)
                 )
                 since_rest = mine_at * theirs_at.inv() * Rotation.from_quat(value)
-                value = normalized_quaternions(since_rest.as_quat())
+                value = scene.normalized_quaternions(since_rest.as_quat())
             if path == "rotation":
                 value = continuous_quaternions(value, own[path])
-            sources[node, path] = (other, path)
             if len(value) > 1 and np.ptp(value, axis=0).max() == 0:
                 value = value[:1]
             if len(value) > 1 or np.abs(value - own[path]).max() > 0:
@@ -140,30 +126,30 @@ def copy_motion(identity: GltfSource, driving: GltfJoints) -> SharedMotion | Non
     beside = _other_sources(mine, theirs, values, pairs)
     above = _moving_above(driving, pairs)
     # Whether all moving nodes above the joints are copied to nodes above the same joints of mine.
-    parents, target = node_parents(mine), {other: node for (node, _), (other, _) in beside.items()}
+    parents, target = scene.node_parents(mine), {other: node for (node, _), (other, _) in beside.items()}
     has_above = all(target.get(moved) in ancestors(parents, top) for moved, tops in above.items() for top in tops)
     if above and not (same_rest and has_above):
         # The topmost joints take the motion of nodes above them that the identity lacks, or has under other names.
         beside = {key: source for key, source in beside.items() if source[0] not in above}
         for top in set().union(*above.values()):
             carried = _carried(mine, top, tracks, driving, pairs[top], scale)
-            sources = {key: source for key, source in sources.items() if key[0] != top}
             tracks = {key: track for key, track in tracks.items() if key[0] != top} | carried
     for key, source in beside.items():
         tracks[key] = continuous_quaternions(values[source]) if key[1] == "rotation" else values[source]
     # In a copy of the same file all targets have been copied already, those that do not move included.
     same_file = _names(mine) == _names(theirs) and all(
-        _same_targets(mine, node, theirs, node) for node in range(len(_names(mine))) if target_count(mine, node)
+        _same_targets(mine, node, theirs, node) for node in range(len(_names(mine))) if scene.target_count(mine, node)
     )
     faces = {} if same_file else morph_tracks(mine, named_weights(theirs, driving.channels, driving.times))
-    keys = _copied_keys(driving, sources | beside) if same_rest and driving.whole else {}
-    return SharedMotion(faces | tracks, same_rest, alike, keys)
+    return SharedMotion(faces | tracks, same_rest, alike)
 
 
 def _moving_above(driving: GltfJoints, pairs: dict[int, int]) -> dict[int, set[int]]:
     """Find the moving nodes above the paired joints of the driving, each with the topmost joints of mine below it."""
-    parents, paired = node_parents(driving.document), set(pairs.values())
-    moving = {channel.node for channel in driving.channels if channel.path in DEFAULT_TRS and not channel.constant}
+    parents, paired = scene.node_parents(driving.document), set(pairs.values())
+    moving = {
+        channel.node for channel in driving.channels if channel.path in scene.DEFAULT_TRS and not channel.constant
+    }
     found: dict[int, set[int]] = {}
     for node, other in pairs.items():
         above = ancestors(parents, other)[1:]
@@ -179,12 +165,12 @@ def _carried(
 
     That one, the node above the driving's joint, moves in its own frame at rest; its steps are scaled.
     """
-    above = node_parents(driving.document)[other]
+    above = scene.node_parents(driving.document)[other]
     moved = sample_joints(driving.document, driving.channels, driving.times, [above])[:, 0]
-    moved = np.linalg.inv(world_matrices(driving.document)[above]) @ moved
+    moved = np.linalg.inv(scene.world_matrices(driving.document)[above]) @ moved
     moved[:, :3, 3] *= scale
-    own = node_properties(mine.gltf["nodes"][node])
-    local = moved @ local_matrix({**own, **{path: tracks[node, path] for path in own if (node, path) in tracks}})
+    own = scene.node_properties(mine.gltf["nodes"][node])
+    local = moved @ scene.local_matrix({**own, **{path: tracks[node, path] for path in own if (node, path) in tracks}})
     return {(node, path): values for path, values in node_tracks(own, local, 0.0, 0.0).items()}
 
 
@@ -203,7 +189,7 @@ def _pairs(mine: Document, theirs: Document, joints: list[int]) -> dict[int, int
     Of several with one name below one joint, the first is that of the first, if both files have as many.
     """
     my_names, their_names = _names(mine), _names(theirs)
-    my_parents, their_parents = node_parents(mine), node_parents(theirs)
+    my_parents, their_parents = scene.node_parents(mine), scene.node_parents(theirs)
     if my_names == their_names and my_parents == their_parents:
         return {node: node for node in joints}
     pairs: dict[int, int] = {}
@@ -228,13 +214,13 @@ def _pairs(mine: Document, theirs: Document, joints: list[int]) -> dict[int, int
 
 
 def _names(document: Document) -> list[str]:
-    return [node_name(document, node) for node in range(len(document.gltf.get("nodes", [])))]
+    return [scene.node_name(document, node) for node in range(len(document.gltf.get("nodes", [])))]
 
 
 def _parent_frames(document: Document, nodes: list[int]) -> Float[np.ndarray, "K 4 4"]:
     """Compute the transform of each node at rest in its parent's frame, in the unit of the parent."""
-    world, parent = rest_matrices(document), node_parents(document)
-    static = local_matrices(document)
+    world, parent = rest_matrices(document), scene.node_parents(document)
+    static = scene.local_matrices(document)
     chosen = set(nodes)
     frames = [
         np.linalg.pinv(world[parent[node]]) @ world[node] if parent[node] in chosen else static[node] for node in nodes
@@ -244,8 +230,8 @@ def _parent_frames(document: Document, nodes: list[int]) -> Float[np.ndarray, "K
 
 def _same_above(mine: Document, theirs: Document, pairs: dict[int, int]) -> bool:
     """Tell whether the nodes above the roots of both skeletons have the same axes and unit."""
-    my_world, their_world = (world_matrices(document) for document in (mine, theirs))
-    my_parents, their_parents = node_parents(mine), node_parents(theirs)
+    my_world, their_world = (scene.world_matrices(document) for document in (mine, theirs))
+    my_parents, their_parents = scene.node_parents(mine), scene.node_parents(theirs)
     for node, other in pairs.items():
         if my_parents[node] in pairs:
             continue
@@ -257,22 +243,6 @@ def _same_above(mine: Document, theirs: Document, pairs: dict[int, int]) -> bool
         if np.abs(above[0][:3, :3] - above[1][:3, :3]).max() > SAME_ROTATION * size:
             return False
     return True
-
-
-def _copied_keys(
-    driving: GltfJoints, sources: Mapping[tuple[int, str], tuple[int, str]]
-) -> dict[tuple[int, str], AnimationChannel]:
-    """Copy the keys of properties that change; they are exact between frames too, whatever their times."""
-    channels = {(channel.node, channel.path): channel for channel in driving.channels if not channel.constant}
-    keys = {}
-    for key, source in sources.items():
-        if source not in channels:
-            continue
-        channel = dataclasses.replace(channels[source], node=key[0])
-        if channel.path == "rotation" and channel.interpolation == "LINEAR":
-            channel = dataclasses.replace(channel, values=continuous_quaternions(channel.values))
-        keys[key] = channel
-    return keys
 
 
 def _other_sources(
@@ -300,7 +270,7 @@ def _other_sources(
         else:
             continue
         count = values[other, path].shape[1]
-        if path != "weights" or (count == target_count(mine, node) and _same_targets(mine, node, theirs, other)):
+        if path != "weights" or (count == scene.target_count(mine, node) and _same_targets(mine, node, theirs, other)):
             sources[node, path] = (other, path)
     return sources
 
@@ -335,7 +305,7 @@ def morph_tracks(document: Document, weights: Sequence[NamedWeights]) -> Animate
     tracks: AnimatedValues = {}
     by_expression = _expression_weights(vrm_expressions(document), weights)
     for node, entry in enumerate(document.gltf.get("nodes", [])):
-        count = target_count(document, node)
+        count = scene.target_count(document, node)
         if not count:
             continue
         columns = {index: values for (n, index), values in by_expression.items() if n == node and index < count}
@@ -344,7 +314,7 @@ def morph_tracks(document: Document, weights: Sequence[NamedWeights]) -> Animate
             if values is not None:
                 columns[index] = values
         if columns:
-            track = np.tile(read_morph_weights(document, node), (len(next(iter(columns.values()))), 1))
+            track = np.tile(scene.read_morph_weights(document, node), (len(next(iter(columns.values()))), 1))
             for index, values in columns.items():
                 track[:, index] = values
             tracks[node, "weights"] = track

@@ -35,26 +35,13 @@ from ..atomic import scratch_folder
 from ..beside import find_beside
 from ..child_process import Limits, child_result
 from ..fbx import fbx_as_glb
-from .check import (
-    COMPONENT_COUNTS,
-    COMPONENT_TYPES,
-    COMPRESSION_EXTENSIONS,
-    DRACO,
-    INDEX_TYPES,
-    MESHOPT,
-    attribute_accessors,
-    check_document,
-    check_sizes,
-    element_size,
-    list_primitives,
-)
+from ..mtl import image_type
+from . import check
 
 JSON_CHUNK, BINARY_CHUNK = 0x4E4F534A, 0x004E4942
 """Chunk types of a GLB file (4.4.3 Chunks): "JSON" and "BIN"."""
 NO_INDEX = ("scene", "mesh", "skin", "skeleton", "camera", "material", "indices")
 """Optional indices that exporters write as -1 where there is none."""
-IMAGE_TYPES = {b"\x89PNG": "image/png", b"\xff\xd8\xff": "image/jpeg", b"RIFF": "image/webp", b"\xabKTX": "image/ktx2"}
-"""MIME type by the first bytes of an image: PNG and JPEG (3.8.3 Images), WebP and KTX2 through extensions."""
 DECODER = "mimesh.io.gltf.document:decode"
 PACKAGES = {"draco": ("DracoPy", "Draco"), "meshopt": ("meshopt", "meshopt compression")}
 """Module that decodes each codec, and the codec's name in messages."""
@@ -90,30 +77,27 @@ def open_document(path: Path) -> Document:
     else:
         content = files.read(path)
     gltf, chunk = _read_json(content, path)
-    check_document(gltf, path)
+    check.check_document(gltf, path)
     compressed = compressed_views(gltf, path)
     gltf, binary = _join_buffers(gltf, chunk, files)
     gltf, binary = decompress(gltf, binary, compressed, path)
     gltf = _drop_compression(gltf)
-    check_sizes(gltf, len(binary), path)
+    check.check_sizes(gltf, len(binary), path)
     images = _read_images(gltf, binary, files)
     document = Document(path, gltf, binary, images, files)
     # Damaged accessors of primitives and skins are reported on reading, not later on writing; those of animations when
     # an animation is read.
     used = {skin["inverseBindMatrices"] for skin in gltf.get("skins", []) if "inverseBindMatrices" in skin}
-    for primitive in list_primitives(gltf):
-        used.update(attribute_accessors(primitive), [primitive["indices"]] if "indices" in primitive else [])
+    for primitive in check.list_primitives(gltf):
+        owners = primitive["attributes"], *primitive.get("targets", [])
+        used.update(*(owner.values() for owner in owners), [primitive["indices"]] if "indices" in primitive else [])
     for index in sorted(used):
         element_bytes(document, index)
     return document
 
 
 def check_decoders(path: Path) -> None:
-    """Check that what decodes the compressed data of a .glb, .vrm or .gltf file is installed; damaged files pass.
-
-    Raises:
-        NotInstalledError: it is not.
-    """
+    """Check that what decodes the compressed data of a .glb, .vrm or .gltf file is installed; damaged files pass."""
     if not missing_decoders():
         return
     try:
@@ -122,18 +106,13 @@ def check_decoders(path: Path) -> None:
         return
     required = gltf.get("extensionsRequired") if isinstance(gltf, dict) else None
     names = {str(name) for name in required} if isinstance(required, list) else set()
-    need_decoders(["draco"] * (DRACO in names) + ["meshopt"] * bool(names.intersection(MESHOPT)), path)
+    need_decoders(["draco"] * (check.DRACO in names) + ["meshopt"] * bool(names.intersection(check.MESHOPT)), path)
 
 
 def element_bytes(document: Document, index: int) -> UInt8[np.ndarray, "N S"]:
-    """Return the bytes of each element of an accessor, one element a row, without strides and with sparse values.
-
-    Raises:
-        InputError: the accessor has an unknown type, reaches beyond its buffer view, or is large without having one
-            (it then stands for zeros).
-    """
+    """Return the bytes of each element of an accessor, one element a row, without strides and with sparse values."""
     accessor = document.gltf["accessors"][index]
-    count, size = accessor["count"], element_size(accessor, index, document.path)
+    count, size = accessor["count"], check.element_size(accessor, index, document.path)
     if "bufferView" in accessor:
         rows = _read_rows(document, accessor, count, size, f"accessor {index}")
     else:
@@ -151,7 +130,7 @@ def element_bytes(document: Document, index: int) -> UInt8[np.ndarray, "N S"]:
 def read_accessor(document: Document, index: int) -> Shaped[np.ndarray, "N C"]:
     """Return the values of an accessor as stored, one element a row, with the padding of small integer matrices."""
     rows = np.ascontiguousarray(element_bytes(document, index))
-    dtype = np.dtype(COMPONENT_TYPES[document.gltf["accessors"][index]["componentType"]])
+    dtype = np.dtype(check.COMPONENT_TYPES[document.gltf["accessors"][index]["componentType"]])
     return rows.view(dtype).reshape(len(rows), rows.shape[1] // dtype.itemsize)
 
 
@@ -163,11 +142,6 @@ def read_floats(document: Document, index: int) -> Float[np.ndarray, "N C"]:
             return values.astype(np.float64)
     # 3.11 Animations, equations for normalized integers: f = max(c / 127.0, -1.0) and likewise for other widths.
     return np.maximum(values / np.iinfo(values.dtype).max, -1.0)
-
-
-def image_type(content: bytes) -> str | None:
-    """Return the MIME type of an image from its first bytes; None where no glTF image starts like this."""
-    return next((mime for magic, mime in IMAGE_TYPES.items() if content.startswith(magic)), None)
 
 
 def uri_file_name(entry: dict[str, Any]) -> str:
@@ -202,9 +176,6 @@ class MappedFiles:
         """Return the bytes behind a URI of the document; None where there is no such file.
 
         Only data: URIs and files are read; nothing is ever fetched from the network.
-
-        Raises:
-            InputError: a data: URI is not valid base64.
         """
         if uri.startswith("data:"):
             try:
@@ -219,9 +190,9 @@ class MappedFiles:
 def _read_sparse_indices(document: Document, sparse: dict[str, Any], index: int, count: int) -> np.ndarray:
     """Read the element indices of a sparse accessor and check that they are below `count`."""
     component = sparse["indices"]["componentType"]
-    if component not in INDEX_TYPES:
+    if component not in check.INDEX_TYPES:
         raise damaged(document.path, f"unsigned sparse indices in accessor {index}", component)
-    dtype = np.dtype(COMPONENT_TYPES[component])
+    dtype = np.dtype(check.COMPONENT_TYPES[component])
     rows = _read_rows(document, sparse["indices"], sparse["count"], dtype.itemsize, f"sparse accessor {index}")
     indices = np.ascontiguousarray(rows).view(dtype).ravel().astype(np.int64)
     if len(indices) and indices.max() >= count:
@@ -323,11 +294,11 @@ def without_extensions(gltf: dict[str, Any], dropped: Collection[str]) -> dict[s
 
 def _drop_compression(gltf: dict[str, Any]) -> dict[str, Any]:
     """Return the JSON without references to compressed copies of the data, which would be stale in a file we write."""
-    gltf = without_extensions(gltf, COMPRESSION_EXTENSIONS)
-    for owner in [*gltf.get("bufferViews", []), *list_primitives(gltf)]:
-        if COMPRESSION_EXTENSIONS & owner.get("extensions", {}).keys():
+    gltf = without_extensions(gltf, check.COMPRESSION_EXTENSIONS)
+    for owner in [*gltf.get("bufferViews", []), *check.list_primitives(gltf)]:
+        if check.COMPRESSION_EXTENSIONS & owner.get("extensions", {}).keys():
             owner["extensions"] = {
-                key: value for key, value in owner["extensions"].items() if key not in COMPRESSION_EXTENSIONS
+                key: value for key, value in owner["extensions"].items() if key not in check.COMPRESSION_EXTENSIONS
             }
             if not owner["extensions"]:
                 del owner["extensions"]
@@ -362,7 +333,7 @@ def _join_buffers(
     for index, view in enumerate(gltf.get("bufferViews", [])):
         rebased = _rebase_range(view, index, gltf["buffers"], starts, path)
         # Compressed data has a range of its own, with the same properties.
-        for name in view.get("extensions", {}).keys() & {*MESHOPT}:
+        for name in view.get("extensions", {}).keys() & {*check.MESHOPT}:
             inner = _rebase_range(view["extensions"][name], index, gltf["buffers"], starts, path)
             rebased["extensions"] = {**rebased["extensions"], name: inner}
         views.append(rebased)
@@ -425,20 +396,16 @@ class _Work:
 def is_fallback(buffer: dict[str, Any]) -> bool:
     """Return whether a buffer stands for data that exists compressed only, and has no bytes itself."""
     extensions = buffer.get("extensions")
-    marks = [extensions.get(name) for name in MESHOPT] if isinstance(extensions, dict) else []
+    marks = [extensions.get(name) for name in check.MESHOPT] if isinstance(extensions, dict) else []
     return "uri" not in buffer and any(isinstance(mark, dict) and mark.get("fallback") is True for mark in marks)
 
 
 def compressed_views(gltf: dict[str, Any], path: Path) -> dict[int, str]:
-    """List the buffer views that have to be decoded, with the name of the extension that says how.
-
-    Raises:
-        InputError: a view lies in a buffer without bytes and is not compressed.
-    """
+    """List the buffer views that have to be decoded, with the name of the extension that says how."""
     required = {str(name) for name in gltf.get("extensionsRequired", [])}
     found = {}
     for number, view in enumerate(gltf.get("bufferViews", [])):
-        names = [name for name in MESHOPT if name in view.get("extensions", {})]
+        names = [name for name in check.MESHOPT if name in view.get("extensions", {})]
         without_bytes = is_fallback(gltf["buffers"][view["buffer"]])
         if names and (without_bytes or names[0] in required):
             found[number] = names[0]
@@ -467,9 +434,9 @@ def decompress(
     # Draco data may lie in a view that meshopt compresses too: nobody writes that, and it fails as damaged data.
     by_draco = _plan_draco(work, gltf, binary, path)
     _plan_meshopt(work, gltf, binary, views, path)
-    dead = {primitive["extensions"][DRACO]["bufferView"] for primitive in _draco_primitives(gltf)}
+    dead = {primitive["extensions"][check.DRACO]["bufferView"] for primitive in _draco_primitives(gltf)}
     dead -= {accessor.get("bufferView") for accessor in gltf["accessors"]}
-    by_meshopt = [view for view in gltf["bufferViews"] if view.get("extensions", {}).keys() & {*MESHOPT}]
+    by_meshopt = [view for view in gltf["bufferViews"] if view.get("extensions", {}).keys() & {*check.MESHOPT}]
     if not (work.jobs or dead or by_meshopt):
         return gltf, binary
     UNPACKED.check(work.size, path, sum(map(len, work.blobs)))
@@ -484,8 +451,7 @@ def decompress(
 
 
 def _draco_primitives(gltf: dict[str, Any]) -> list[dict[str, Any]]:
-    """List the primitives that have compressed data."""
-    return [primitive for primitive in list_primitives(gltf) if DRACO in primitive.get("extensions", {})]
+    return [primitive for primitive in check.list_primitives(gltf) if check.DRACO in primitive.get("extensions", {})]
 
 
 def _plan_meshopt(
@@ -513,10 +479,10 @@ def _plan_draco(work: _Work, gltf: dict[str, Any], binary: bytes | memoryview, p
 
     Returns these accessors.
     """
-    required = DRACO in gltf.get("extensionsRequired", [])
+    required = check.DRACO in gltf.get("extensionsRequired", [])
     planned: set[int] = set()
     for primitive in _draco_primitives(gltf):
-        extension = primitive["extensions"][DRACO]
+        extension = primitive["extensions"][check.DRACO]
         ids = extension["attributes"]
         wanted = {name: index for name, index in primitive["attributes"].items() if name in ids}
         accessors = [primitive[key] for key in ("indices",) if key in primitive] + list(wanted.values())
@@ -548,8 +514,11 @@ def _corrected(gltf: dict[str, Any], by_draco: set[int], decoded: bytearray) -> 
 
     def values(index: int) -> np.ndarray:
         accessor = gltf["accessors"][index]
-        view, dtype = gltf["bufferViews"][accessor["bufferView"]], np.dtype(COMPONENT_TYPES[accessor["componentType"]])
-        columns = COMPONENT_COUNTS[accessor["type"]]
+        view, dtype = (
+            gltf["bufferViews"][accessor["bufferView"]],
+            np.dtype(check.COMPONENT_TYPES[accessor["componentType"]]),
+        )
+        columns = check.COMPONENT_COUNTS[accessor["type"]]
         strides = view.get("byteStride", columns * dtype.itemsize), dtype.itemsize
         return np.ndarray((accessor["count"], columns), dtype, decoded, view["byteOffset"], strides)
 
@@ -572,12 +541,15 @@ def _corrected(gltf: dict[str, Any], by_draco: set[int], decoded: bytearray) -> 
 def _draco_output(gltf: dict[str, Any], index: int, attribute: int | None, path: Path) -> dict[str, Any]:
     """Describe the array that Draco is to give for an accessor of a vertex attribute, or of indices (None)."""
     accessor = gltf["accessors"][index]
-    size = element_size(accessor, index, path)
+    size = check.element_size(accessor, index, path)
     if accessor["type"].startswith("MAT"):
         raise damaged(path, "vectors in Draco data", accessor["type"])
     # Elements of vertex attributes start at multiples of 4 bytes (3.6.2.4 Data Alignment).
     padding = 0 if attribute is None else -size % 4
-    kind = {"dtype": COMPONENT_TYPES[accessor["componentType"]], "columns": COMPONENT_COUNTS[accessor["type"]]}
+    kind = {
+        "dtype": check.COMPONENT_TYPES[accessor["componentType"]],
+        "columns": check.COMPONENT_COUNTS[accessor["type"]],
+    }
     place = {"count": accessor["count"], "padding": padding, "stride": size + padding}
     return kind | place | ({} if attribute is None else {"id": attribute})
 
@@ -645,9 +617,6 @@ def decode(source: Path, target: Path) -> None:
     """Decode the jobs of a request and write their results one after another, padded to multiples of 4 bytes.
 
     A request is the length of its JSON (8 bytes), the JSON, and the compressed data of all jobs.
-
-    Raises:
-        InputError: the data has another number of elements than the JSON says.
     """
     content = source.read_bytes()
     start = 8 + int.from_bytes(content[:8], "little")

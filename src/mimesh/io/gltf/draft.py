@@ -17,8 +17,9 @@ import numpy as np
 from jaxtyping import Float, Float32, Integer
 
 from ...core.errors import InputError
+from ..mtl import image_type
 from .check import ARRAY_BUFFER, COMPONENT_TYPES, ELEMENT_ARRAY_BUFFER, is_supported
-from .document import BINARY_CHUNK, JSON_CHUNK, Document, element_bytes, image_type, uri_file_name
+from .document import BINARY_CHUNK, JSON_CHUNK, Document, element_bytes, uri_file_name
 
 ACCESSOR_TYPES = {1: "SCALAR", 2: "VEC2", 3: "VEC3", 4: "VEC4"}
 """Accessor `type` by number of components."""
@@ -233,7 +234,6 @@ class NumberTooLarge(InputError):
 
 
 def _as_float32(values: Float[np.ndarray, "N C"]) -> Float32[np.ndarray, "N C"]:
-    """Return values in the type of glTF."""
     with np.errstate(over="ignore"):
         stored = np.ascontiguousarray(values, "<f4")
     if not np.isfinite(stored).all():

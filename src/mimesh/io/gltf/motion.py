@@ -63,9 +63,6 @@ def read_skeleton(document: Document, fps: float | None = None, animation: str |
     """Read the joints and an animation of them, in the file's axes and unit; arguments as in `read_gltf_clip`.
 
     Joints that do not keep their distance from their parent get their translations in `Bvh.moved`.
-
-    Raises:
-        InputError: no such animation, a damaged one, or one with NaN or infinity.
     """
     channels = [channel for channel in select_channels(document, animation) if channel.path in PLAYED_PATHS]
     fps = fps or frame_rate(channels) or DEFAULT_FPS
@@ -112,9 +109,6 @@ def bind_poses(document: Document) -> Iterator[Float[np.ndarray, "N 4 4"]]:
 
     Without usable inverse bind matrices, these are the nodes' transforms in the file. Skins without them have vertices
     in the frame of their joints (glTF 2.0, 3.7.3.1), which says nothing about a pose.
-
-    Raises:
-        InputError: the inverse bind matrices have NaN or infinity.
     """
     T_world_node, skins = world_matrices(document), document.gltf.get("skins", [])
     largest = _largest_skin(document)
@@ -195,10 +189,6 @@ def front_before_placing(document: Document, T_rest_node: Float[np.ndarray, "N 4
 
     A person who faces +z where the mesh was bound and stands turned in the scene has that heading in every frame.
     Others are turned to face +z, or face another way by their maker's habit: their front stays.
-
-    Args:
-        T_rest_node: the nodes at rest, y up.
-        front: axis to the front there.
     """
     largest = _largest_skin(document)
     if largest is None:

@@ -21,14 +21,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Float, Int
 
+from ...bodies.engine_names import SCHEMES, root_name
 from ...bodies.joint_names import ancestors
 from ...core.animated_rig import frames_around
 from ...core.geometry import nearest_rotation
 from ...core.mesh import check_cut
+from ...core.options import Layout
 from ...motions.bone_motion import TRUNK
-from ..timing import DEFAULT_FPS, frame_count
+from ..timing import DEFAULT_FPS
+from . import scene
 from .animation import (
     PATH_WIDTHS,
     AnimatedValues,
@@ -49,19 +52,8 @@ from .animation import (
 from .document import Document
 from .draft import AccessorCopier, Draft
 from .edit import GltfSource
+from .own_rig import OwnRig
 from .read import get_primitive
-from .scene import (
-    DEFAULT_TRS,
-    joint_matrices,
-    node_parents,
-    node_properties,
-    normalized_quaternions,
-    read_inverse_bind_matrices,
-    read_morph_weights,
-    read_skin_binding,
-    target_count,
-    unbound_joints,
-)
 from .vrm import json_object, vrm_version
 
 ROOT_NAME = re.compile(r"(.*[:|])?root", re.IGNORECASE)
@@ -82,7 +74,7 @@ of a scale, relative, because scales that are computed from matrices in float32 
 lengths (measured on a file of Kenney's)."""
 Tracks = Mapping[tuple[int, str], Float[np.ndarray, "_ _"]]
 """Values by (node, target path): in every frame, or in one of what does not move."""
-BARE = {"name", "children", "matrix", *DEFAULT_TRS, "extras"}
+BARE = {"name", "children", "matrix", *scene.DEFAULT_TRS, "extras"}
 """Properties of nodes that show nothing."""
 
 
@@ -104,8 +96,6 @@ class OwnAnimation:
     """Name of a bone on the floor above all joints; None: the file has those that it has."""
     root_moves: bool = False
     """Whether that bone carries the way over the ground."""
-    keys: Mapping[tuple[int, str], AnimationChannel] = field(default_factory=dict)
-    """Keys that are written as they are, of properties that `tracks` has the values of in every frame."""
 
     def with_layout(self, bones: Mapping[str, str], root_bone: str | None, root_moves: bool) -> OwnAnimation:
         """Rename the bones of a person, and add a root bone.
@@ -131,10 +121,10 @@ class OwnAnimation:
         for (node, path), values in self.tracks.items():
             a, b = values[before], values[after]
             if path == "rotation":
-                tracks[node, path] = normalized_quaternions(slerp(a, b, between))
+                tracks[node, path] = scene.normalized_quaternions(slerp(a, b, between))
             else:
                 tracks[node, path] = (1 - between) * a + between * b
-        return dataclasses.replace(self, tracks=tracks, fps=fps, frames=len(before), keys={})
+        return dataclasses.replace(self, tracks=tracks, fps=fps, frames=len(before))
 
     def moves(self, key: tuple[int, str]) -> bool:
         """Tell whether a node is anywhere else than in the file, beyond rounding."""
@@ -169,14 +159,21 @@ class OwnAnimation:
         return unposed_vertices(self.source.document, self.source.rest, self.tracks)
 
 
+def laid_out(animation: OwnAnimation, layout: Layout) -> OwnAnimation:
+    """Give the bones of a file the names and the root bone of a layout."""
+    return animation.with_layout(SCHEMES[layout.names].bones, root_name(layout), layout.root_bone)
+
+
+def own_pose(own: OwnRig, name: str, layout: Layout, tracks: AnimatedValues | None = None) -> OwnAnimation:
+    """Return the bones of a file in a layout, in one pose: that of its nodes, but for the values in `tracks`."""
+    return laid_out(OwnAnimation(own.source, name, tracks or {}, DEFAULT_FPS, 1, own.person), layout)
+
+
 def write_own_animations(animations: Sequence[OwnAnimation], path: Path) -> None:
     """Write the file of an identity with new animations, before those that it has.
 
     What only some of all animations move, old and new, has one key in the other new ones, with the value of the file:
     where an animation leaves a node out, Blender and blending engines keep the pose of another animation.
-
-    Args:
-        animations: of one file, with the same layout.
     """
     root = _place_root_bone(animations)
     draft = _copied_file(animations, root)
@@ -198,10 +195,6 @@ def cut_animation(source: GltfSource, animation: str | None, fps: float | None, 
     Args:
         animation: its name or number; None: the first, with those that complement it.
         fps: frames a second; None: the rate that its keys lie on.
-        frames: those that are taken.
-
-    Raises:
-        InputError: no such animation, or no frame is left.
     """
     document, names = source.document, animation_names(source.document)
     channels = select_channels(document, animation)
@@ -241,33 +234,19 @@ def write_own_pose(animation: OwnAnimation, path: Path) -> None:
 def _new_entries(animations: Sequence[OwnAnimation], tracks: Sequence[Tracks], draft: Draft) -> list[dict[str, Any]]:
     """Add new animations to the copy of a file: the keys of each for all that any of them moves, old and new."""
     document = animations[0].source.document
-    exact = []
-    for animation, values in zip(animations, tracks, strict=True):
-        # Keys are written as they are, but not where tracks have changed since, nor at another speed.
-        last = max((float(channel.times[-1]) for channel in animation.keys.values()), default=0.0)
-        same_speed = frame_count(last, animation.fps) == animation.frames
-        same = {key: keys for key, keys in animation.keys.items() if values.get(key) is animation.tracks.get(key)}
-        exact.append(same if same_speed else {})
-    used = dict.fromkeys(key for values in (*tracks, *exact) for key in values)
-    used |= dict.fromkeys(_animated_values(document))
+    used = dict.fromkeys([*(key for values in tracks for key in values), *_animated_values(document)])
     still = {key: node_value(draft.gltf["nodes"][key[0]], key, document) for key in used}
-    entries = []
-    for animation, values, keys in zip(animations, tracks, exact, strict=True) if used else ():
-        complete = {key: values.get(key, still[key]) for key in used}
-        entries.append(add_animation(draft, animation.name, _channels(animation, complete, keys)))
-    return entries
+    return [
+        add_animation(draft, animation.name, _channels(animation, {key: values.get(key, still[key]) for key in used}))
+        for animation, values in zip(animations, tracks, strict=True)
+        if used
+    ]
 
 
 def node_value(entry: dict[str, Any], key: tuple[int, str], document: Document) -> Float[np.ndarray, "1 C"]:
-    """Return what a node has for a target path, as a track of one frame.
-
-    Args:
-        entry: the node, which may be new in a file that is written.
-        key: its index and the target path.
-        document: the file that has the morph targets.
-    """
+    """Return what a node has for a target path, as a track of one frame."""
     node, path = key
-    value = read_morph_weights(document, node) if path == "weights" else node_properties(entry)[path]
+    value = scene.read_morph_weights(document, node) if path == "weights" else scene.node_properties(entry)[path]
     return np.array(value, float)[None]
 
 
@@ -288,7 +267,7 @@ def _copied_file(animations: Sequence[OwnAnimation], root: RootBone | None = Non
             renamed[root.node] = root.name
     for node in moving:
         if "matrix" in nodes[node]:
-            properties = {key: value.tolist() for key, value in node_properties(nodes[node]).items()}
+            properties = {key: value.tolist() for key, value in scene.node_properties(nodes[node]).items()}
             nodes[node] = {key: value for key, value in nodes[node].items() if key != "matrix"} | properties
     taken = set(renamed.values()) | ({root.name} if root is not None and root.is_new else set())
     for number, node in enumerate(nodes):
@@ -298,42 +277,32 @@ def _copied_file(animations: Sequence[OwnAnimation], root: RootBone | None = Non
             node["name"] = f"{node['name']} (of the file)"
     document = first.source.document
     for number, skin in enumerate(draft.gltf.get("skins", [])):
-        if unbound_joints(document, number):
-            skin["inverseBindMatrices"] = draft.add_matrices(read_inverse_bind_matrices(document, number))
+        if scene.unbound_joints(document, number):
+            skin["inverseBindMatrices"] = draft.add_matrices(scene.read_inverse_bind_matrices(document, number))
     if root is not None and root.is_new:
         root.insert(draft)
     return draft
 
 
-def _channels(
-    animation: OwnAnimation, tracks: Tracks, exact: Mapping[tuple[int, str], AnimationChannel]
-) -> list[AnimationChannel]:
-    """Choose the keys of an animation, from which readers know its rate.
+def _channels(animation: OwnAnimation, tracks: Tracks) -> list[AnimationChannel]:
+    """Return the keys of an animation, in every frame or where nothing changes in the first one.
 
-    Unless copied keys show the rate, one track at least has a key in every frame.
+    One track at least has a key in every frame, from which readers know the rate.
     """
-    frames = {key: key_frames(animation.source, key, track) for key, track in tracks.items()}
-    start = min((keys.times[0] for keys in exact.values()), default=0.0)
-    shown = any(len(is_key) == animation.frames and is_key.all() for key, is_key in frames.items() if key not in exact)
-    copied = bool(exact) and (frame_rate(list(exact.values())) or DEFAULT_FPS) == animation.fps
-    if not (shown or copied):
-        first = next((key for key in tracks if key not in exact), next(iter(tracks)))
-        exact = {key: keys for key, keys in exact.items() if key != first}
+    counts = {key: key_count(animation.source, key, track) for key, track in tracks.items()}
+    if animation.frames not in counts.values():
+        first = next(iter(tracks))
         tracks = {**tracks, first: np.broadcast_to(tracks[first], (animation.frames, tracks[first].shape[1]))}
-        frames[first] = np.ones(animation.frames, bool)
-    channels = []
-    for key, track in tracks.items():
-        times = np.flatnonzero(frames[key]) / animation.fps
-        # A single key is where copied ones begin, so that it changes neither their length nor their rate.
-        times = times if len(times) > 1 else times + start
-        channels.append(exact[key] if key in exact else AnimationChannel(*key, times, track[frames[key]]))
-    return channels
+        counts[first] = animation.frames
+    return [
+        AnimationChannel(*key, np.arange(counts[key]) / animation.fps, track[: counts[key]])
+        for key, track in tracks.items()
+    ]
 
 
-def key_frames(source: GltfSource, key: tuple[int, str], values: Float[np.ndarray, "T C"]) -> Bool[np.ndarray, " T"]:
-    """Mark the frames of animated values that become keys: all of them, or the first where nothing changes."""
-    moves = np.abs(values - values[0]).max() > rounding(source, key, values)
-    return np.full(len(values), moves) | (np.arange(len(values)) == 0)
+def key_count(source: GltfSource, key: tuple[int, str], values: Float[np.ndarray, "T C"]) -> int:
+    """Count the keys of animated values: one for each frame, or one where nothing changes."""
+    return len(values) if np.abs(values - values[0]).max() > rounding(source, key, values) else 1
 
 
 def rounding(source: GltfSource, key: tuple[int, str], values: Float[np.ndarray, "T C"]) -> float:
@@ -343,7 +312,7 @@ def rounding(source: GltfSource, key: tuple[int, str], values: Float[np.ndarray,
         return SCALE_ROUNDING * float(np.abs(values).max())
     unit = {"rotation": 1.0, "weights": 1.0}.get(path, 0.0)
     if path == "translation" and node < len(source.rest.T_world_node):
-        above = _world(source, node_parents(source.document)[node])[:3, :3]
+        above = _world(source, scene.node_parents(source.document)[node])[:3, :3]
         unit = float(np.ptp(source.vertices, axis=0).max() / max(np.linalg.norm(above, axis=0).max(), 1e-12))
     return ROUNDING * max(float(np.abs(values).max()), unit)
 
@@ -357,7 +326,7 @@ def _animated_values(document: Document) -> list[tuple[int, str]]:
             target = json_object(channel, "target")
             node, path = target.get("node"), str(target.get("path"))
             if path in PATH_WIDTHS and type(node) is int and 0 <= node < count:
-                found += [(node, path)] if path != "weights" or target_count(document, node) else []
+                found += [(node, path)] if path != "weights" or scene.target_count(document, node) else []
     return found
 
 
@@ -410,12 +379,12 @@ class RootBone:
                 entry["matrix"] = (T_root_parent @ np.reshape(entry["matrix"], (4, 4)).T).T.ravel().tolist()
                 continue
             for path in ("translation", "rotation"):
-                moved = _in_frame(np.array([entry.get(path, DEFAULT_TRS[path])], float), path, T_root_parent)[0]
-                if path in entry or not np.array_equal(moved, DEFAULT_TRS[path]):
+                moved = _in_frame(np.array([entry.get(path, scene.DEFAULT_TRS[path])], float), path, T_root_parent)[0]
+                if path in entry or not np.array_equal(moved, scene.DEFAULT_TRS[path]):
                     entry[path] = moved.tolist()
         for number, animation in enumerate(gltf.get("animations", [])):
             self._move_keys(draft, animation, number)
-        parents = tuple(node_parents(self.source.document))
+        parents = tuple(scene.node_parents(self.source.document))
         for number, skin in enumerate(gltf.get("skins", [])):
             if any(set(ancestors(parents, joint)).intersection(self.children) for joint in skin["joints"]):
                 self._add_to_skin(draft, skin, number, parents)
@@ -432,14 +401,12 @@ class RootBone:
         """Return the values of an animation with the way over the ground on the bone.
 
         Args:
-            tracks: as the nodes of the draft have them.
             hips: path of the hips in the world; y is up.
-            draft: the file with the bone.
         """
         way = (hips - hips[0]) * [1.0, 0.0, 1.0]
         moved = dict(tracks)
         for node, into_parent in self.staying.items():
-            still = np.array(draft.gltf["nodes"][node].get("translation", DEFAULT_TRS["translation"]), float)
+            still = np.array(draft.gltf["nodes"][node].get("translation", scene.DEFAULT_TRS["translation"]), float)
             moved[node, "translation"] = moved.get((node, "translation"), still) - way @ into_parent.T
         into_parent = np.linalg.inv(_world(self.source, self.parent)[:3, :3])
         moved[self.node, "translation"] = self.T_parent_root[:3, 3] + way @ into_parent.T
@@ -476,9 +443,9 @@ class RootBone:
         document, joints = self.source.document, skin["joints"]
         # Nodes may have another pose than the skin was bound in: the bone is placed relative to the topmost joint.
         depth = [len(ancestors(parents, joint)) for joint in joints]
-        T_world_bind = joint_matrices(document, number, self.source.rest.T_world_node)[int(np.argmin(depth))]
+        T_world_bind = scene.joint_matrices(document, number, self.source.rest.T_world_node)[int(np.argmin(depth))]
         own = np.linalg.inv(self.T_world_root) @ T_world_bind
-        inverse_bind = np.concatenate([read_inverse_bind_matrices(document, number), own[None]])
+        inverse_bind = np.concatenate([scene.read_inverse_bind_matrices(document, number), own[None]])
         skin |= {"joints": [*joints, self.node], "inverseBindMatrices": draft.add_matrices(inverse_bind)}
         # It has to be above all joints (glTF 2.0, 5.28.2 skin.skeleton).
         if "skeleton" in skin and skin["skeleton"] not in ancestors(parents, self.parent):
@@ -492,13 +459,13 @@ def _place_root_bone(animations: Sequence[OwnAnimation]) -> RootBone | None:
         return None
     moving = {key[0] for animation in animations for key in animation.tracks if animation.moves(key)}
     document, world = source.document, source.rest.T_world_node
-    parents = node_parents(document)
+    parents = scene.node_parents(document)
     skins = [set(skin["joints"]) for skin in document.gltf.get("skins", [])]
     joints = set(person.values()).union(*(skin for skin in skins if skin.intersection(person.values())))
     weighted: set[int] = set()  # joints with a vertex that has a weight for them
     for span in source.rest.vertex_ranges:
         for number in span.primitives:
-            binding = read_skin_binding(document, span.node, get_primitive(document, (span.node, number)))
+            binding = scene.read_skin_binding(document, span.node, get_primitive(document, (span.node, number)))
             if binding is not None:
                 weighted |= set(binding.nodes[binding.joints[binding.weights > 0]].tolist())
     size = np.ptp(source.vertices, axis=0).max()
@@ -553,7 +520,6 @@ def _world(source: GltfSource, node: int) -> Float[np.ndarray, "4 4"]:
 
 
 def _unit(transform: Float[np.ndarray, "4 4"]) -> Float[np.ndarray, "3 3"]:
-    """Divide the axes of a transform by their mean length."""
     return transform[:3, :3] / max(float(np.linalg.norm(transform[:3, :3], axis=0).mean()), 1e-12)
 
 

@@ -65,7 +65,6 @@ class FileRig:
         """Compute the animated values of the file's nodes that give some joints a motion.
 
         Args:
-            joints: indices of joints of the character.
             transforms: rigid transform of each of them from the rest pose to every frame, in the world of the file.
         """
         document = self.source.document
@@ -104,11 +103,7 @@ class OwnRig(FileRig):
 
 
 def read_file_rig(mesh: Mesh) -> FileRig:
-    """Read the rig of any creature or thing in its bind pose, from a mesh that comes from a glTF file.
-
-    Raises:
-        InputError: no skin, or a damaged one.
-    """
+    """Read the rig of any creature or thing in its bind pose, from a mesh that comes from a glTF file."""
     source = _rigged_source(mesh)
     document = source.document
     scene = dataclasses.replace(source.rest, T_world_node=rest_matrices(document))
@@ -124,7 +119,6 @@ def read_own_rig(mesh: Mesh, find: FindJoints | None = None, body: str = "human"
 
     Args:
         find: finds joints of a person whose names say nothing.
-        body: `human` or `quadruped`.
 
     Raises:
         UnnamedJoints: limbs are not found by name, and nothing else finds them.
@@ -187,8 +181,6 @@ class GltfJoints:
     """Body whose joints are read."""
     find: FindJoints | None = None
     """Finds joints of the mesh whose names say nothing."""
-    whole: bool = False
-    """Whether the frames are those of the whole animation, at the rate of its keys."""
 
     @property
     def has_joints(self) -> bool:
@@ -198,8 +190,7 @@ class GltfJoints:
     def cut(self, frames: slice) -> GltfJoints:
         """Select frames of the clip."""
         played = None if self.played is None else self.played.cut(frames)
-        times = self.times[frames]
-        return dataclasses.replace(self, times=times, played=played, whole=self.whole and len(times) == len(self.times))
+        return dataclasses.replace(self, times=self.times[frames], played=played)
 
     def values(self) -> AnimatedValues:
         """Sample the animated values of all nodes."""
@@ -216,11 +207,7 @@ class GltfJoints:
         return found
 
     def person(self) -> PersonMotion:
-        """Read the joints of a person.
-
-        Raises:
-            InputError: as `read_own_rig`.
-        """
+        """Read the joints of a person."""
         if self.mesh is None:
             assert self.played is not None
             return self.played
@@ -238,27 +225,20 @@ class GltfJoints:
 
 
 def check_sound(rig: SkinnedCharacter, T_world_joint: Float[np.ndarray, "J 4 4"], path: object) -> None:
-    """Check that vertices have joints, and that joints can be animated.
-
-    Raises:
-        InputError: they do not, or cannot.
-    """
+    """Check that vertices have joints, and that joints can be animated."""
     check_weights(_unjointed(rig), 0.0, path)
     _check_scales(T_world_joint[_weighted(rig)], path)
 
 
 def _unjointed(rig: SkinnedCharacter) -> float:
-    """Return the share of the weights that no joint has."""
     return float((rig.weights * (rig.joint_of == len(rig.parents))).sum(axis=1).mean())
 
 
 def _weighted(rig: SkinnedCharacter) -> Int[np.ndarray, " K"]:
-    """List the joints that have weights."""
     return np.unique(rig.joint_of[(rig.weights > 0) & (rig.joint_of < len(rig.parents))])
 
 
 def _rigged_source(mesh: Mesh) -> GltfSource:
-    """Return the file of a mesh."""
     source = mesh.source
     if not isinstance(source, GltfSource) or not has_rig(mesh):
         raise InputError(f"{mesh.name}: expected a skin, found none; export the mesh together with its armature")

@@ -22,25 +22,10 @@ from ...core.errors import InputError
 from ...core.geometry import unit_vectors
 from ...core.mesh import Material, Mesh, Part
 from ..colors import with_alpha
+from ..mtl import image_type
 from ..polygons import joined_corners, with_face_normals
-from .document import Document, image_type, read_floats
-from .scene import (
-    joint_matrices,
-    node_name,
-    node_parents,
-    normal_matrices,
-    read_attribute,
-    read_indices,
-    read_influences,
-    read_morph_weights,
-    read_morphed_attribute,
-    scene_nodes,
-    sort_parents_first,
-    transform_points,
-    transform_vectors,
-    vertex_matrices,
-    world_matrices,
-)
+from . import scene
+from .document import Document, read_floats
 
 POINTS, TRIANGLES, TRIANGLE_STRIP, TRIANGLE_FAN = 0, 4, 5, 6
 """Values of a primitive's `mode` (glTF 2.0, 5.24 Mesh Primitive); 1 to 3 are lines."""
@@ -86,7 +71,7 @@ def read_rest(document: Document) -> tuple[Mesh, RestScene]:
     Raises:
         InputError: the scene shows no triangles and no points, or an array does not fit what it is used for.
     """
-    T_world_node = world_matrices(document)
+    T_world_node = scene.world_matrices(document)
     vertex_ranges = _find_vertex_ranges(document)
     start = {(span.node, primitive): span.start for span in vertex_ranges for primitive in span.primitives}
     # Nodes in scene order, and the primitives of each in file order.
@@ -109,12 +94,15 @@ def read_rest(document: Document) -> tuple[Mesh, RestScene]:
     vertices = np.concatenate(
         [read_rest_positions(document, span.node, span.primitives[0], T_world_node) for span in vertex_ranges]
     )
+    vertex_normals = [read_rest_normals(document, node, primitive, T_world_node) for node, primitive in keys]
+    normals = _corner_values(vertex_normals, triangles)
     mesh = Mesh(
         vertices,
         faces,
         name=document.path.stem,
         corner_uv=_corner_values([_read_vertex_uv(document, get_primitive(document, key)) for key in keys], triangles),
-        corner_normals=_read_corner_normals(document, keys, triangles, T_world_node, vertices, faces),
+        # A primitive without normals among others gets face normals (glTF 2.0, 3.7.2.1: "calculate flat normals").
+        corner_normals=None if normals is None else with_face_normals(normals, vertices, faces),
         vertex_colors=_read_vertex_colors(document, vertex_ranges, len(vertices)),
         parts=_read_parts(document, rest),
         up="+y",  # glTF 2.0, 3.4 Coordinate System and Units
@@ -127,9 +115,9 @@ def read_rest_positions(
 ) -> Float[np.ndarray, "V 3"]:
     """Read the world positions of the vertices of a node's primitive."""
     entry = get_primitive(document, (node, primitive))
-    positions = read_morphed_attribute(document, entry, "POSITION", read_morph_weights(document, node))
+    positions = scene.read_morphed_attribute(document, entry, "POSITION", scene.read_morph_weights(document, node))
     assert positions is not None
-    return transform_points(vertex_matrices(document, node, entry, T_world_node), positions)
+    return scene.transform_points(scene.vertex_matrices(document, node, entry, T_world_node), positions)
 
 
 def read_rest_normals(
@@ -137,11 +125,11 @@ def read_rest_normals(
 ) -> Float[np.ndarray, "V 3"] | None:
     """Read the world normals of the vertices of a node's primitive; None where it has none. Zero normals stay zero."""
     entry = get_primitive(document, (node, primitive))
-    normals = read_morphed_attribute(document, entry, "NORMAL", read_morph_weights(document, node))
+    normals = scene.read_morphed_attribute(document, entry, "NORMAL", scene.read_morph_weights(document, node))
     if normals is None:
         return None
-    linear = vertex_matrices(document, node, entry, T_world_node)[:, :, :3]
-    return unit_vectors(transform_vectors(normal_matrices(linear), normals))
+    linear = scene.vertex_matrices(document, node, entry, T_world_node)[:, :, :3]
+    return unit_vectors(scene.transform_vectors(scene.normal_matrices(linear), normals))
 
 
 def get_primitive(document: Document, key: PrimitiveKey) -> dict[str, Any]:
@@ -157,7 +145,7 @@ def _find_vertex_ranges(document: Document) -> tuple[VertexRange, ...]:
     """
     # Dictionaries keep insertion order, so the vertices follow the scene.
     groups: dict[tuple[Any, ...], list[PrimitiveKey]] = {}
-    for node in scene_nodes(document):
+    for node in scene.scene_nodes(document):
         mesh = document.gltf["nodes"][node].get("mesh")
         primitives = document.gltf["meshes"][mesh]["primitives"] if mesh is not None else []
         for index, primitive in enumerate(primitives):
@@ -197,7 +185,7 @@ def _read_faces(document: Document, key: PrimitiveKey) -> Int[np.ndarray, "F 3"]
     Strips and fans become triangles by the equations of glTF 2.0, 3.7.2.1. Degenerate triangles, which strips contain
     where they change direction, are left out.
     """
-    indices, mode = read_indices(document, get_primitive(document, key)), _get_mode(document, key)
+    indices, mode = scene.read_indices(document, get_primitive(document, key)), _get_mode(document, key)
     if mode == TRIANGLES:
         return indices[: len(indices) // 3 * 3].reshape(-1, 3)  # as in OpenGL, an incomplete triangle is not drawn
     if mode == TRIANGLE_FAN:
@@ -220,23 +208,6 @@ def _corner_values(values_of: Sequence[np.ndarray | None], triangles: list[np.nd
     )
 
 
-def _read_corner_normals(
-    document: Document,
-    keys: list[PrimitiveKey],
-    triangles: list[np.ndarray],
-    T_world_node: Float[np.ndarray, "N 4 4"],
-    vertices: Float[np.ndarray, "V 3"],
-    faces: Int[np.ndarray, "F 3"],
-) -> Float[np.ndarray, "F 3 3"] | None:
-    """Read the normals of all corners; None where no primitive has any.
-
-    A primitive without normals among others gets face normals (glTF 2.0, 3.7.2.1: "calculate flat normals").
-    """
-    vertex_normals = [read_rest_normals(document, node, primitive, T_world_node) for node, primitive in keys]
-    normals = _corner_values(vertex_normals, triangles)
-    return None if normals is None else with_face_normals(normals, vertices, faces)
-
-
 def _read_vertex_colors(
     document: Document, vertex_ranges: tuple[VertexRange, ...], count: int
 ) -> Float[np.ndarray, "V 4"] | None:
@@ -246,9 +217,9 @@ def _read_vertex_colors(
     for span in vertex_ranges:
         for number in span.primitives:
             primitive = get_primitive(document, (span.node, number))
-            values = read_attribute(document, primitive, "COLOR_0")
+            values = scene.read_attribute(document, primitive, "COLOR_0")
             if values is not None:
-                drawn = read_indices(document, primitive)
+                drawn = scene.read_indices(document, primitive)
                 colors[span.start + drawn] = with_alpha(values)[drawn]
                 found = True
     return colors if found else None
@@ -264,8 +235,8 @@ def _read_vertex_uv(document: Document, primitive: dict[str, Any]) -> Float[np.n
     texture = base_texture_of(material)
     uv_transform = texture.get("extensions", {}).get("KHR_texture_transform", {})
     number = uv_transform.get("texCoord", texture.get("texCoord", 0))
-    uv = read_attribute(document, primitive, f"TEXCOORD_{number}")
-    uv = read_attribute(document, primitive, "TEXCOORD_0") if uv is None else uv
+    uv = scene.read_attribute(document, primitive, f"TEXCOORD_{number}")
+    uv = scene.read_attribute(document, primitive, "TEXCOORD_0") if uv is None else uv
     if uv is None:
         return None
     sine, cosine = np.sin(uv_transform.get("rotation", 0.0)), np.cos(uv_transform.get("rotation", 0.0))
@@ -334,10 +305,10 @@ def rig_on_nodes(
     """
     # One tree for all skins of the scene, so that their joints have one numbering: each node has the joint that it is,
     # or the nearest one above it, else -1.
-    node_parent = node_parents(document)
+    node_parent = scene.node_parents(document)
     nodes: list[int] = []
     joint_of_node = {-1: -1}
-    for node in sort_parents_first(document, node_parent):
+    for node in scene.sort_parents_first(document, node_parent):
         joint_of_node[node] = joint_of_node[node_parent[node]]
         if node in joint_nodes:
             joint_of_node[node] = len(nodes)
@@ -350,17 +321,13 @@ def rig_on_nodes(
         # With weight zero, it does not matter that the joint of the padding is 0.
         padded.append([np.pad(values, padding[: values.ndim]) for values in part])
     joint_of, weights, points = (np.concatenate(some) for some in zip(*padded, strict=True))
-    names = tuple(node_name(document, node) for node in nodes)
+    names = tuple(scene.node_name(document, node) for node in nodes)
     parents = tuple(joint_of_node[node_parent[node]] for node in nodes)
     return SkinnedCharacter(mesh, names, parents, rest.T_world_node[nodes], joint_of, weights, points), nodes
 
 
 def unweighted_parts(document: Document, rest: RestScene) -> tuple[str, ...]:
-    """List the parts of a skin that have no finite weights at all; they follow a joint (see `read_influences`).
-
-    Raises:
-        InputError: a large share of the vertices is without weights: a damaged skin.
-    """
+    """List the parts of a skin that have no finite weights at all; they follow a joint (see `read_influences`)."""
     total = sum(span.stop - span.start for span in rest.vertex_ranges)
     some, parts = 0, {}
     for span in rest.vertex_ranges:
@@ -371,7 +338,7 @@ def unweighted_parts(document: Document, rest: RestScene) -> tuple[str, ...]:
         weight = np.asarray(sum(read_floats(document, primitive["attributes"][name]).sum(axis=1) for name in sets))
         bare = ~((weight > 0) & np.isfinite(weight))
         if bare.all():
-            name = node_name(document, span.node)
+            name = scene.node_name(document, span.node)
             parts[name] = parts.get(name, 0) + len(bare)
         else:
             some += int(bare.sum())
@@ -385,9 +352,6 @@ def check_weights(bare: float, parts: float, path: object) -> None:
     Args:
         bare: share of vertices without weights, in parts of which others have some.
         parts: share of the vertices of parts that have none at all, such as a prop.
-
-    Raises:
-        InputError: it is larger: the skin is damaged.
     """
     if bare > UNSKINNED or parts > UNSKINNED_PARTS:
         raise InputError(
@@ -410,17 +374,19 @@ def _read_range_influences(
     Unskinned vertices have one influence: the nearest joint above their node, else the world (joint index J).
     """
     primitive = get_primitive(document, (span.node, span.primitives[0]))
-    positions = read_morphed_attribute(document, primitive, "POSITION", read_morph_weights(document, span.node))
+    positions = scene.read_morphed_attribute(
+        document, primitive, "POSITION", scene.read_morph_weights(document, span.node)
+    )
     assert positions is not None
     skin = find_skin(document, span)
     if skin is None:
         # -1, no joint, becomes J, the world.
         joint_of = np.full((len(positions), 1), joint_of_node[span.node] % (joints + 1))
-        world = transform_points(rest.T_world_node[span.node, None, :3], positions)
+        world = scene.transform_points(rest.T_world_node[span.node, None, :3], positions)
         return joint_of, np.ones(joint_of.shape), world[:, None]
-    skin_joints, weights = read_influences(document, primitive)
-    T_world_bind = joint_matrices(document, skin, rest.T_world_node)
-    points = [transform_points(T_world_bind[column, :3], positions) for column in skin_joints.T]
+    skin_joints, weights = scene.read_influences(document, primitive)
+    T_world_bind = scene.joint_matrices(document, skin, rest.T_world_node)
+    points = [scene.transform_points(T_world_bind[column, :3], positions) for column in skin_joints.T]
     # Skins list the same nodes in different orders: count joints by node.
     joint_of_skin = np.array([joint_of_node[node] for node in document.gltf["skins"][skin]["joints"]])
     return joint_of_skin[skin_joints], weights, np.stack(points, axis=1)

@@ -65,15 +65,7 @@ def node_properties(entry: Mapping[str, Any]) -> dict[str, Float[np.ndarray, " _
 def world_matrices(
     document: Document, T_parent_node: Float[np.ndarray, "*T N 4 4"] | None = None
 ) -> Float[np.ndarray, "*T N 4 4"]:
-    """Return each node's global transform: the product of the local transforms from its root down.
-
-    Args:
-        document: the file.
-        T_parent_node: local transforms; None: those of the file.
-
-    Raises:
-        InputError: the node tree has a loop, or a node with two parents.
-    """
+    """Return each node's global transform: the product of the local transforms from its root down."""
     if T_parent_node is None:
         T_parent_node = local_matrices(document)
     T_world_node = T_parent_node.copy()
@@ -128,11 +120,7 @@ def read_attribute(document: Document, primitive: dict[str, Any], name: str) -> 
 
 
 def read_indices(document: Document, primitive: dict[str, Any]) -> np.ndarray:
-    """Read the vertex indices that a primitive draws, in order; all vertices where it has no index accessor.
-
-    Raises:
-        InputError: an index is beyond the last vertex.
-    """
+    """Read the vertex indices that a primitive draws, in order; all vertices where it has no index accessor."""
     count = document.gltf["accessors"][primitive["attributes"]["POSITION"]]["count"]
     if "indices" not in primitive:
         return np.arange(count)
@@ -204,11 +192,7 @@ class SkinBinding:
 
 
 def read_skin_binding(document: Document, node: int, primitive: dict[str, Any]) -> SkinBinding | None:
-    """Read the joints and weights of a primitive's vertices; None where node or primitive have no skinning.
-
-    Raises:
-        InputError: a joint index is beyond the joints of the skin.
-    """
+    """Read the joints and weights of a primitive's vertices; None where node or primitive have no skinning."""
     skin = document.gltf["nodes"][node].get("skin")
     if skin is None or "JOINTS_0" not in primitive["attributes"]:
         return None
@@ -344,11 +328,7 @@ def with_last_row(matrices: Float[np.ndarray, "*N 4 4"]) -> Float[np.ndarray, "*
 
 
 def node_parents(document: Document) -> list[int]:
-    """Return the parent of each node, -1 for roots.
-
-    Raises:
-        InputError: a node has two parents (forbidden by glTF 2.0, 3.5.2 Nodes and Hierarchy).
-    """
+    """Return the parent of each node, -1 for roots."""
     nodes = document.gltf.get("nodes", [])
     parent = [-1] * len(nodes)
     for index, node in enumerate(nodes):
@@ -360,11 +340,7 @@ def node_parents(document: Document) -> list[int]:
 
 
 def sort_parents_first(document: Document, parent: list[int]) -> list[int]:
-    """List all nodes, each after its parent.
-
-    Raises:
-        InputError: the node tree has a loop.
-    """
+    """List all nodes, each after its parent."""
     order = [node for node, above in enumerate(parent) if above < 0]
     for node in order:  # breadth first: the list grows while it is iterated
         order.extend(document.gltf["nodes"][node].get("children", []))
@@ -379,9 +355,6 @@ def read_influences(document: Document, primitive: dict[str, Any]) -> tuple[np.n
 
     Weights are divided by their sum; a vertex without any finite weight follows its first joint, as in three.js.
     Joints of weight zero become 0, because files may hold any number there (glTF 2.0, 3.7.3.3, only recommends zero).
-
-    Raises:
-        InputError: a set of joints comes without weights.
     """
     joints, weights, number = [], [], 0
     while f"JOINTS_{number}" in primitive["attributes"]:

@@ -24,9 +24,8 @@ from ...core.animated_rig import AnimatedRig, RigAnimation
 from ...core.rig import homogeneous
 from ..timing import DEFAULT_FPS
 from .animation import AnimationChannel, add_animation, local_quaternions, rotation_channels
-from .build import build_document, stage_transform
 from .draft import PER_SET, Draft
-from .edit import PrimitiveGroup, with_normals
+from .edit import PrimitiveGroup, build_document, stage_transform, with_normals
 from .scene import DEFAULT_TRS
 
 STILL = 1e-7

@@ -229,12 +229,10 @@ def write_vrm(
     Bones that hang on another one than VRM demands (`misplaced_bones`) are moved below that, and stay where they are.
 
     Args:
-        glb: the file.
         bones: humanoid bone -> node.
         turn: rotation from the axes of the file to y up, +z front, as VRM has them.
         origin: point of the file on the ground below the hips. VRM has it at zero (tpose.md: soles at y = 0, left and
             right symmetric at x = 0).
-        path: where to write.
     """
     from scipy.spatial.transform import Rotation
 

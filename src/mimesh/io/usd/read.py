@@ -27,11 +27,10 @@ from ...core.frame_buffer import Progress
 from ...core.geometry import normal_turner, unit_vectors
 from ...core.mesh import Material, Mesh, Part
 from ..beside import confining_folder, may_be_read
-from ..guarded import hand_over_clip, hand_over_mesh
 from ..mtl import image_suffix
 from ..polygons import fan_corners, joined_corners, with_face_normals
 from ..timing import LONGEST, frame_count
-from .source import UsdSource
+from . import UsdSource, hand_over_clip, hand_over_mesh
 
 # usd-core ships no types.
 # pyright: reportAttributeAccessIssue=false
@@ -53,9 +52,6 @@ def read_mesh(source: Path, target: Path) -> None:
     the control mesh is read. Axes and unit are the file's (z up stays z up). Skinning and blend shapes are applied. The
     time is the default time where all meshes have values then, else the first time code. Polygons become triangle fans,
     material subsets or prims become parts.
-
-    Raises:
-        InputError: the file is damaged, or has no visible meshes.
     """
     with _opened(source) as (stage, mesh_prims):
         hand_over_mesh(target, _join_prims(stage, mesh_prims, source))
@@ -66,9 +62,6 @@ def read_clip(source: Path, target: Path, fps: float | None, progress: Progress)
 
     With `fps`, frame k is k / fps seconds after the first time code instead; USD interpolates between samples. A stage
     in which nothing moves is one frame. Prims and coordinates as in `read_mesh`.
-
-    Raises:
-        InputError: as `read_mesh`; faces or number of points change over time; longer than `timing.LONGEST`.
     """
     with _opened(source) as (stage, mesh_prims):
         mesh = _join_prims(stage, mesh_prims, source)
@@ -103,11 +96,7 @@ def _opened(path: Path) -> Iterator[tuple[Usd.Stage, list[MeshPrim]]]:
 
 
 def check_package(path: Path) -> None:
-    """Check the checksums of the files in a package, which the library does not; other files pass.
-
-    Raises:
-        InputError: the file is no zip archive, its files are compressed, or one has another checksum.
-    """
+    """Check the checksums of the files in a package, which the library does not; other files pass."""
     if path.suffix.lower() != ".usdz":
         return
     try:
@@ -193,7 +182,6 @@ def _join_prims(stage: Usd.Stage, mesh_prims: list[MeshPrim], path: Path) -> Mes
 
 
 def _concatenate(meshes: Sequence[Mesh], name: str) -> Mesh:
-    """Concatenate meshes to one of the given name, with shifted vertex indices and face ranges of parts."""
     starts = np.cumsum([0] + [len(mesh.vertices) for mesh in meshes]).tolist()
     face_starts = np.cumsum([0] + [len(mesh.faces) for mesh in meshes]).tolist()
     counts = [len(mesh.faces) for mesh in meshes]
@@ -430,7 +418,6 @@ def _authored_normals(prim: Usd.Prim, time: Usd.TimeCode) -> tuple[Float[np.ndar
 
 
 def _diffuse_texture(surface: UsdShade.Shader) -> UsdShade.Shader | None:
-    """Return the UsdUVTexture connected to the diffuse colour of a surface."""
     node = _input_shader(surface, "diffuseColor")
     return node if node is not None and node.GetShaderId() == "UsdUVTexture" else None
 
@@ -463,9 +450,6 @@ def shown_meshes(stage: Usd.Stage, path: Path) -> list[Usd.Prim]:
 
     Visibility is that of the stage's first time code. Meshes below point instancers are left out: they are prototypes,
     shown only where the instancer places them.
-
-    Raises:
-        InputError: there are none; the message lists the prims that were found.
     """
     time = Usd.TimeCode(stage.GetStartTimeCode())
     points = ((prim, UsdGeom.Mesh(prim).GetPointsAttr()) for prim in _visible(stage, time))
@@ -505,9 +489,6 @@ def time_code_range(stage: Usd.Stage, mesh_prims: list[MeshPrim], path: Path) ->
     """Return the first and last time code of a stage: as authored, else those of the samples of its meshes.
 
     Without samples nothing moves, and both are 0.
-
-    Raises:
-        InputError: the authored range is not finite.
     """
     sample_times = [time for mesh_prim in mesh_prims for time in mesh_prim.sample_times()]
     if not sample_times:

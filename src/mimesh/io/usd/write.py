@@ -29,7 +29,6 @@ from ...core.printable import numbered
 from ..atomic import scratch_folder
 from ..mtl import write_image
 from ..polygons import polygon_corners, polygon_sizes, smooth_normals
-from .source import UsdSource
 
 # usd-core ships no types.
 # pyright: reportAttributeAccessIssue=false
@@ -79,9 +78,8 @@ def _write_binary(clip: Clip, path: Path, textures: Path, asset_folder: str, pro
     """Write the stage of the module docstring as .usdc; asset paths refer to `textures` as `asset_folder`."""
     stage = Usd.Stage.CreateNew(str(path))
     source = clip.mesh.source
-    from_usd = isinstance(source, UsdSource)
-    UsdGeom.SetStageUpAxis(stage, source.up_axis if from_usd else UsdGeom.Tokens.y)
-    UsdGeom.SetStageMetersPerUnit(stage, source.meters_per_unit if from_usd else 1.0)
+    UsdGeom.SetStageUpAxis(stage, getattr(source, "up_axis", UsdGeom.Tokens.y))  # only sources of USD know both
+    UsdGeom.SetStageMetersPerUnit(stage, getattr(source, "meters_per_unit", 1.0))
     stage.SetTimeCodesPerSecond(clip.fps)
     stage.SetFramesPerSecond(clip.fps)
     if len(clip) > 1:
