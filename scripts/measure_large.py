@@ -58,9 +58,9 @@ LINEAR, FLAT = 1.05, 0.1
 GROWTH = {"mime": ("vertices", (100_000, 300_000, 1_000_000, 3_000_000)), "animate": ("frames", (100, 1000, 10_000))}
 """Cases of `growth` with what grows, and the sizes to measure."""
 STEPS = {
-    "choose_body": ("mimesh.pipeline.joint_route", "agreed"),
+    "choose_body": ("mimesh.pipeline.look", "agreed"),
     "find_joints": ("mimesh.pipeline.joint_route", "_found"),
-    "report": ("mimesh.pipeline.joint_route", "surface_report"),
+    "report": ("mimesh.pipeline.placed", "surface_report"),
 }
 """Steps inside of `transfer` and `animate`: module and function."""
 

@@ -12,7 +12,7 @@ import io
 import pickle
 import struct
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -49,8 +49,15 @@ class _Record:
         self.state = state
 
 
+def _push_bytes(machine: Any) -> None:
+    """Read a bytearray as the bytes that the file has; the machine would first make room for as many as it claims."""
+    machine.append(machine.read(struct.unpack("<Q", machine.read(8))[0]))
+
+
 class _Unpickler(pickle._Unpickler):
     """Python's pickle machine, which makes records. That in C makes room for as many objects as a file claims."""
+
+    dispatch: ClassVar[dict] = {**pickle._Unpickler.dispatch, pickle.BYTEARRAY8[0]: _push_bytes}
 
     def find_class(self, module: str, name: str) -> Any:
         """Make a class of records for a name that is allowed."""

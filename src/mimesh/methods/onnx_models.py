@@ -13,7 +13,6 @@ from ..core.system import refuse_pipe
 from ..mime.hands import FingerNetwork, HandFinder
 from ..mime.model import Mime
 from .base import Method
-from .npt import AniFormerMethod, NPTMethod
 from .onnx_runtime import import_onnxruntime, open_session
 
 if TYPE_CHECKING:
@@ -53,6 +52,8 @@ def load_network(
         joints, parents, legs = tuple(card["joints"]), tuple(card["parents"]), tuple(map(tuple, card["legs"]))
         hands = load_hand_finder(joints, seed) if fingers else None
         return Mime(session, joints, parents, legs, name, card["points"], body, fits, seed, hands=hands)
+    from .npt import AniFormerMethod, NPTMethod
+
     usual = {"name": name, "session": session, "target_scale": card["target_scale"], "seed": seed, "body": body}
     if card["model"] == "aniformer":
         facts = {key: card[key] for key in ("frames", "head")} | {"vertices": card.get("vertices", 0)}

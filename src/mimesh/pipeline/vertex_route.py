@@ -24,7 +24,6 @@ from ..core.options import MotionOptions
 from ..methods.base import Drive, Method
 from ..methods.deformation_transfer import DeformationTransfer
 from ..methods.find import find_method
-from ..methods.npt import PaperNetwork
 from ..rigs.retarget import JointMotion
 from .file_rigs import NO_RIGS, Rigs
 from .known import Known
@@ -183,6 +182,8 @@ def _prepared(
     rigs: Rigs,
     notes: tuple[str, ...],
 ) -> VertexRoute:
+    from ..methods.npt import PaperNetwork
+
     if isinstance(method, PaperNetwork):
         method = method.with_sizes((identity.name, norms[0].radius), (clip.mesh.name, norms[1].radius))
     rest = normalised(identity, norms[0])
