@@ -58,7 +58,7 @@ one."""
 
 @dataclass(frozen=True, eq=False)
 class ScannedJoints(KnownJoints):
-    """The joints of a clip of scans, which were found in each of them (`pipeline.scans`)."""
+    """The joints of a clip of scans, which were found in each of them (`pipeline.read`)."""
 
     confidence: Confidence
     """How certainly; the median over the scans."""
