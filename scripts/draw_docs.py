@@ -10,16 +10,19 @@ from __future__ import annotations
 import argparse
 import colorsys
 import dataclasses
+import tempfile
 from pathlib import Path
 
+import fast_simplification
 import numpy as np
 from jaxtyping import Float
 from PIL import Image, ImageDraw, ImageFont
 
-from mimesh import Clip, Mesh, Result, animate, capture, retarget, rig, transfer
+from mimesh import Clip, FrameRange, Mesh, Result, animate, capture, retarget, rig, save_mesh, transfer
 from mimesh.bodies import character, load_body
 from mimesh.bodies.animals import animal
 from mimesh.bodies.sampling import rotvec_to_rotmat, sample_pose
+from mimesh.core.mesh import cut_clip
 from mimesh.core.skinning import place_joints
 from mimesh.core.surface_points import SurfacePoints
 from mimesh.io.atomic import whole_file
@@ -52,7 +55,9 @@ BONE_COLOUR = (58, 84, 122)
 MODELS = ("mime", "npt", "npt-maxpool", "aniformer", "copy")
 """Models in the picture of models."""
 CAPTURED = "jump"
-"""Shipped motion in the picture of a capture."""
+"""Shipped motion in the pictures of captures."""
+SCAN_STEP = 3
+"""Frames of the shipped motion from one scan to the next."""
 MAX_DISTANCE = 0.08
 """Distance to the truth (metres) of the last colour in the picture of models."""
 
@@ -62,7 +67,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", metavar="NAME")
     selected = parser.parse_args().names
-    for draw in (first, models, inside, body_fit, rigs, captured, species):
+    for draw in (first, models, inside, body_fit, rigs, captured, scans, species):
         if not selected or draw.__name__ in selected:
             save(draw(), draw.__name__)
 
@@ -188,6 +193,22 @@ def captured() -> Image.Image:
         rows[1].append(captioned(drawn, "joints"))
         rows[2].append(_tile(result, "child"))
     return page([tile for row in rows for tile in row], len(rows[0]))
+
+
+def scans() -> Image.Image:
+    """Draw scans of a person, each with triangles of its own, and two characters that move like them."""
+    clip = cut_clip(motion_clip(BODY, DRIVING_PERSON, load_motion(CAPTURED)), 0, None, SCAN_STEP)
+    rng, taken = np.random.default_rng(0), []
+    with tempfile.TemporaryDirectory() as folder:
+        for t, vertices in enumerate(clip.vertices):
+            points, faces = fast_simplification.simplify(vertices, clip.mesh.faces, rng.uniform(0.6, 0.9))
+            taken.append(Mesh(points.astype(float), faces.astype(int), "scan"))
+            save_mesh(taken[-1], Path(folder, f"{t:03d}.ply"))
+        moved = [animate(character(name), folder, frames=FrameRange(fps=clip.fps)).clip for name in ("brute", "child")]
+    chosen = np.linspace(0, len(taken) - 1, 5).round().astype(int)
+    rows = [[_tile(taken[t], f"{len(taken[t].faces):,} triangles", DRIVING_TINT) for t in chosen]]
+    rows += [[_tile(of.mesh.with_vertices(of.vertices[t]), of.mesh.name) for t in chosen] for of in moved]
+    return page([tile for row in rows for tile in row], len(chosen))
 
 
 def species() -> Image.Image:
