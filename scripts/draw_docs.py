@@ -201,7 +201,7 @@ def scans() -> Image.Image:
     rng, taken = np.random.default_rng(0), []
     with tempfile.TemporaryDirectory() as folder:
         for t, vertices in enumerate(clip.vertices):
-            points, faces = fast_simplification.simplify(vertices, clip.mesh.faces, rng.uniform(0.6, 0.9))
+            points, faces = fast_simplification.simplify(vertices, clip.mesh.faces, rng.uniform(0.6, 0.9))[:2]
             taken.append(Mesh(points.astype(float), faces.astype(int), "scan"))
             save_mesh(taken[-1], Path(folder, f"{t:03d}.ply"))
         moved = [animate(character(name), folder, frames=FrameRange(fps=clip.fps)).clip for name in ("brute", "child")]
