@@ -511,7 +511,7 @@ def test_arms_and_seats_that_reach_lower_than_the_drivings_are_on_the_floor(long
     mine = mine if palms else (*mine[:2], None, None)
     skinned, leg = SkinnedMesh.of(vertices, own, BODY.parents), leg_length(rig.joints, LEGS)
     feet = Feet.of(LEGS, leg, mine, skinned, theirs, SurfacePoints.of_vertices(len(rest)), ARMS)
-    parts = LowParts.of(vertices, own, skinned, (LEGS, ARMS), mine, BODY.parents)
+    parts = LowParts.of(vertices, own, skinned, (LEGS, ARMS), mine)
     assert feet is not None
     assert parts is not None
     rotation, translation = BODY.skinning_transforms(BODY.joints, motion.rotmat, motion.root)
@@ -519,7 +519,7 @@ def test_arms_and_seats_that_reach_lower_than_the_drivings_are_on_the_floor(long
     frames = motion_clip(BODY, np.zeros(0), motion).vertices.astype(float)
     track = JointTrack(rotation, positions, motion.fps, np.stack([feet.driving.in_frame(frame)[0] for frame in frames]))
     planted = plant_feet(PosedJoints(rotation, positions[:, 0]), track, skinned, feet, (1.0, 1.0))
-    lifted = keep_above_floor(planted, track, parts, feet, 1.0, BODY.parents)
+    lifted = keep_above_floor(planted, track, parts, feet, 1.0)
     before, after = (skinned.posed_frames(of.rotation, of.root)[..., 1].min(axis=1) for of in (planted, lifted))
     assert before[-1] < -0.04
     assert after.min() > -0.02

@@ -65,6 +65,9 @@ def engine_rig(
         up: axis of the file, such as "+y".
         front: axis of the file.
         leg_tolerance: degrees from the vertical up to which thighs and shins stay as they are.
+
+    Raises:
+        InputError: no such scheme or rest pose, or the rig lacks joints that every scheme has.
     """
     scheme = SCHEMES[Layout(names, root_bone, rest).names]
     _check_joints(skeleton, names, rest)
@@ -92,6 +95,7 @@ def t_posed(skeleton: AnimatedRig, up: str, front: str) -> AnimatedRig:
 
 
 def _check_joints(skeleton: AnimatedRig, names: str, rest: str) -> None:
+    """Check that a rig has the joints that a scheme or a rest pose needs."""
     missing = [joint for joint in REQUIRED if joint not in skeleton.names]
     if missing and (SCHEMES[names].bones or rest != "file"):
         asked = option("names", names) if SCHEMES[names].bones else option("rest", rest)
@@ -131,14 +135,7 @@ def _bind(
     joints = place_joints(old.joints[0], old.joints[1:] - old.joints[above], turn, skeleton.parents)
     mesh = skeleton.mesh
     if rest != "file":
-        # Skinning from there to the file's pose gives the file's vertices; where joints of a vertex turn so differently
-        # that this has no stable solution, it is skinned to the rest pose instead.
-        back = turn.swapaxes(-1, -2)
-        blended = blend_matrices(old.weights, back)
-        wanted = skeleton.points - old.weights @ (old.joints - (back @ joints[..., None])[..., 0])
-        stable = np.linalg.det(blended) > LEAST_DETERMINANT
-        vertices = skin_points(skeleton.points, old.weights, turn, joints - (turn @ old.joints[..., None])[..., 0])
-        vertices[stable] = np.linalg.solve(blended[stable], wanted[stable][..., None])[..., 0]
+        vertices = _rest_vertices(skeleton.points, old, turn, joints)
         # The soles stay on their ground when legs are straightened.
         rise = axes[:, 1] * ((skeleton.points @ axes[:, 1]).min() - (vertices @ axes[:, 1]).min())
         joints, mesh = joints + rise, mesh.with_vertices(skeleton.on_mesh(vertices + rise))
@@ -161,37 +158,91 @@ def _rest_turns(
     if rest == "file":
         return turn
     index = {name: j for j, name in enumerate(skeleton.names)}
-    rig, joints, down = skeleton.rig, skeleton.rig.joints, -axes[:, 1]
-    below = np.radians(A_ANGLE if rest == "A" else 0.0)
     for side, left in (("Left", 1.0), ("Right", -1.0)):
         limb = {name.removeprefix(side): j for name, j in index.items() if name.startswith(side)}
-        # A joint's axes correspond to those of the shipped body, which is in the T-pose with its palms down: they say
-        # how far the bone is twisted.
-        direction = axes @ [left * np.cos(below), -np.sin(below), 0.0]
-        finger = next((name for name in ("HandMiddle1", "HandIndex1", "HandFinger1") if name in limb), None)
-        for joint, end in (("Arm", "ForeArm"), ("ForeArm", "Hand"), ("Hand", finger)):
-            j = limb[joint]
-            turn[j] = axes @ rig.rotation[j].T
-            if end is not None:
-                turn[j] = rotation_between(turn[j] @ (joints[limb[end]] - joints[j]), direction) @ turn[j]
-        turn[descendants([limb["Hand"]], skeleton.parents)] = turn[limb["Hand"]]
-        # Fingers are straight, a thumb half way between them and the front (VRM T-pose 1.7, 1.8). The last joint of a
-        # finger, whose end is not known, turns with the one before.
-        for finger in FINGERS if rest == "T" else ():
-            target = axes @ [left, 0.0, 1.0 if finger == "Thumb" else 0.0]
-            chain = [limb[name] for k in (1, 2, 3) if (name := f"Hand{finger}{k}") in limb]
-            for j, end in pairwise(chain):
-                turn[j] = rotation_between(turn[j] @ (joints[end] - joints[j]), target) @ turn[j]
-                turn[end] = turn[j]
-        # Legs stand, with their feet to the front; a foot keeps its slope.
-        for joint, end in (("UpLeg", "Leg"), ("Leg", "Foot")):
-            bone = joints[limb[end]] - joints[limb[joint]]
-            if bone @ down < np.cos(np.radians(leg_tolerance)) * np.linalg.norm(bone):
-                turn[limb[joint]] = rotation_between(bone, down)
-        if "ToeBase" in limb:
-            foot = joints[limb["ToeBase"]] - joints[limb["Foot"]]
-            turn[[limb["Foot"], limb["ToeBase"]]] = rotation_between(foot - (foot @ down) * down, axes[:, 2])
+        below = np.radians(A_ANGLE if rest == "A" else 0.0)
+        _turn_arm(turn, skeleton, limb, axes, axes @ [left * np.cos(below), -np.sin(below), 0.0])
+        if rest == "T":
+            _turn_fingers(turn, skeleton, limb, axes, left)
+        _turn_leg(turn, skeleton, limb, axes, leg_tolerance)
     return turn
+
+
+def _turn_arm(
+    turn: Float[np.ndarray, "J 3 3"],
+    skeleton: AnimatedRig,
+    limb: dict[str, int],
+    axes: Float[np.ndarray, "3 3"],
+    direction: Float[np.ndarray, " 3"],
+) -> None:
+    """Set the turns of a straight arm in some direction, palm down, and of all joints of its hand.
+
+    A joint's axes correspond to those of the shipped body, which is in the T-pose with its palms down: they say how
+    far the bone is twisted.
+    """
+    rig = skeleton.rig
+    finger = next((name for name in ("HandMiddle1", "HandIndex1", "HandFinger1") if name in limb), None)
+    for joint, end in (("Arm", "ForeArm"), ("ForeArm", "Hand"), ("Hand", finger)):
+        j = limb[joint]
+        turn[j] = axes @ rig.rotation[j].T
+        if end is not None:
+            turn[j] = rotation_between(turn[j] @ (rig.joints[limb[end]] - rig.joints[j]), direction) @ turn[j]
+    turn[descendants([limb["Hand"]], skeleton.parents)] = turn[limb["Hand"]]
+
+
+def _turn_fingers(
+    turn: Float[np.ndarray, "J 3 3"],
+    skeleton: AnimatedRig,
+    limb: dict[str, int],
+    axes: Float[np.ndarray, "3 3"],
+    left: float,
+) -> None:
+    """Set the turns of straight fingers, and of a thumb half way between them and the front (VRM T-pose 1.7, 1.8).
+
+    The last joint of a finger, whose end is not known, turns with the one before.
+    """
+    for finger in FINGERS:
+        target = axes @ [left, 0.0, 1.0 if finger == "Thumb" else 0.0]
+        chain = [limb[name] for k in (1, 2, 3) if (name := f"Hand{finger}{k}") in limb]
+        for joint, end in pairwise(chain):
+            bone = skeleton.rig.joints[end] - skeleton.rig.joints[joint]
+            turn[joint] = rotation_between(turn[joint] @ bone, target) @ turn[joint]
+            turn[end] = turn[joint]
+
+
+def _turn_leg(
+    turn: Float[np.ndarray, "J 3 3"],
+    skeleton: AnimatedRig,
+    limb: dict[str, int],
+    axes: Float[np.ndarray, "3 3"],
+    tolerance: float,
+) -> None:
+    """Set the turns of a leg that stands, with its foot to the front; the foot keeps its slope."""
+    joints, down = skeleton.rig.joints, -axes[:, 1]
+    for joint, end in (("UpLeg", "Leg"), ("Leg", "Foot")):
+        bone = joints[limb[end]] - joints[limb[joint]]
+        if bone @ down < np.cos(np.radians(tolerance)) * np.linalg.norm(bone):
+            turn[limb[joint]] = rotation_between(bone, down)
+    if "ToeBase" in limb:
+        foot = joints[limb["ToeBase"]] - joints[limb["Foot"]]
+        turn[[limb["Foot"], limb["ToeBase"]]] = rotation_between(foot - (foot @ down) * down, axes[:, 2])
+
+
+def _rest_vertices(
+    vertices: Float[np.ndarray, "V 3"], rig: Rig, turn: Float[np.ndarray, "J 3 3"], joints: Float[np.ndarray, "J 3"]
+) -> Float[np.ndarray, "V 3"]:
+    """Compute vertices in a rest pose such that skinning from there to the file's pose gives the file's vertices.
+
+    Where joints of one vertex turn so differently that this has no stable solution, the vertices are skinned to the
+    rest pose instead.
+    """
+    back = turn.swapaxes(-1, -2)
+    blended = blend_matrices(rig.weights, back)
+    wanted = vertices - rig.weights @ (rig.joints - (back @ joints[..., None])[..., 0])
+    stable = np.linalg.det(blended) > LEAST_DETERMINANT
+    moved = skin_points(vertices, rig.weights, turn, joints - (turn @ rig.joints[..., None])[..., 0])
+    moved[stable] = np.linalg.solve(blended[stable], wanted[stable][..., None])[..., 0]
+    return moved
 
 
 class _Bone(NamedTuple):

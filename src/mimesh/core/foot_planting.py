@@ -105,14 +105,7 @@ def find_contacts(track: JointTrack, leg: float, hands: int = 0) -> FootContacts
     soles, root = track.soles / leg, track.positions[:, 0] / leg
     velocity = np.diff(soles, axis=0) * track.fps
     height = np.maximum(soles[1:, ..., 1], soles[:-1, ..., 1])
-    # The ground is a low quantile of the lowest point's height in frames in which it is slow, not the lowest height of
-    # all: feet of captures sink into the ground for moments. Every frame has a little weight, for clips in which feet
-    # never are slow (a treadmill).
-    flat, count = height.reshape(len(height), -1), np.arange(len(height))
-    lowest, speed = flat.argmin(axis=1), np.linalg.norm(velocity, axis=-1).reshape(len(height), -1)
-    weight, order = falling(speed[count, lowest], STANDING_SPEED) + 1e-3, flat.min(axis=1).argsort(kind="stable")
-    share = np.cumsum(weight[order]) / weight.sum()
-    ground = float(flat.min(axis=1)[order][np.searchsorted(share, GROUND_SHARE)])
+    ground = _ground(height, np.linalg.norm(velocity, axis=-1))
     low = falling(height - ground, STANDING_HEIGHT)
     is_hand = np.arange(soles.shape[1]) >= soles.shape[1] - hands
     above = root[:, 1:2] - ground
@@ -126,6 +119,21 @@ def find_contacts(track: JointTrack, leg: float, hands: int = 0) -> FootContacts
     height = soles[..., 1].min(axis=2) - ground
     near = np.where(is_hand, falling(height, STANDING_HEIGHT), falling(height, NEAR_GROUND)) * upright
     return FootContacts(track.soles, standing, near, moving * leg / track.fps, hands)
+
+
+def _ground(height: Float[np.ndarray, "S F C"], speed: Float[np.ndarray, "S F C"]) -> float:
+    """Return the height of the ground: a low quantile of the lowest point's height in frames in which it is slow.
+
+    Not the lowest height of all: feet of captures sink into the ground for moments.
+    """
+    count = len(height)
+    lowest = height.reshape(count, -1).argmin(axis=1)
+    height, speed = (array.reshape(count, -1)[np.arange(count), lowest] for array in (height, speed))
+    # With a little weight for every frame, for clips in which feet never are slow (a treadmill).
+    weight = falling(speed, STANDING_SPEED) + 1e-3
+    order = height.argsort(kind="stable")
+    share = np.cumsum(weight[order]) / weight.sum()
+    return float(height[order][np.searchsorted(share, GROUND_SHARE)])
 
 
 def _ground_velocity(
@@ -264,20 +272,8 @@ def plant_feet(
     if slides:
         # Where the driving walks in place, a corrected root would drift.
         free_root = free_root and not contacts.ground_step.any()
-        # A sole may slide as far as the driving's does, scaled, in any direction: less is not made more.
-        mine, theirs = _steps(soles, contacts), scale[0] * _steps(contacts.soles, contacts)
-        size, allowed = (np.linalg.norm(steps, axis=-1) for steps in (mine, theirs))
-        weight = contacts.standing * falling(size * track.fps / leg, MISREAD_SPEED)
-        excess = weight * (1 - np.minimum(1, allowed / np.maximum(size, 1e-9)))
-        error = -(excess[..., None] * mine).sum(axis=2) / np.maximum(weight.sum(axis=2), 1e-9)[..., None]
-        weight = weight.max(axis=2)
-        # Along the clip's displacement and across it. The length of a cycle's step may change, but nobody drifts to the
-        # side, nor at all in place.
-        away = (track.positions[-1, 0] - track.positions[0, 0])[[0, 2]]
-        far = float(np.linalg.norm(away))
-        goes = far > IN_PLACE * feet.driving_leg
-        x, z = away / far if goes else (1.0, 0.0)
-        for axis, closed_root in ((np.array([x, 0, z]), not goes), (np.array([z, 0, -x]), True)):
+        weight, error = _slides(soles, contacts, scale[0], track.fps, leg)
+        for axis, closed_root in _ground_axes(track.positions[-1, 0] - track.positions[0, 0], feet.driving_leg):
             closed = (cyclic, cyclic and closed_root)
             along = _solve(weight, error @ axis, len(soles), track.fps, SLIDES, closed, stiff, free_root)
             found += along[..., None] * axis
@@ -315,7 +311,6 @@ def keep_above_floor(
     parts: LowParts,
     feet: Feet,
     scale: float,
-    parents: tuple[int, ...],
     floor: Callable[[float], float] = float,
 ) -> PosedJoints:
     """Lift what is deeper in the floor than the driving: trunks of who sits, kneels or lies, and arms.
@@ -362,7 +357,7 @@ def keep_above_floor(
         ways.append((arm, deep - np.maximum(stands * up, np.minimum(up, deep)), -1.0))
     for limb, way, bend in ways:
         if way.any():
-            rotation = move_ankle(rotation, positions, limb, way[:, None] * UPWARD, parents, bend)
+            rotation = move_ankle(rotation, positions, limb, way[:, None] * UPWARD, parts.trunk.parents, bend)
     return PosedJoints(rotation, lifted)
 
 
@@ -420,6 +415,16 @@ def is_cyclic(track: JointTrack, leg: float) -> bool:
     return len(around) > 2 and bool(max(height, apart) < CYCLE_ERROR * leg)
 
 
+def _ground_axes(displacement: Float[np.ndarray, " 3"], leg: float) -> list[tuple[Float[np.ndarray, " 3"], bool]]:
+    """Return two horizontal axes, along a clip's displacement and across it, and whether the root ends as it begins.
+
+    That is of cycles: the length of a step may change, but nobody drifts to the side, nor at all in place.
+    """
+    far = float(np.linalg.norm(displacement[[0, 2]]))
+    x, z = displacement[[0, 2]] / far if far > IN_PLACE * leg else (1.0, 0.0)
+    return [(np.array([x, 0, z]), far <= IN_PLACE * leg), (np.array([z, 0, -x]), True)]
+
+
 def _steps(soles: Float[np.ndarray, "T F C 3"], contacts: FootContacts) -> Float[np.ndarray, "S F C 3"]:
     """Return the displacement of soles over the ground in each interval.
 
@@ -432,6 +437,21 @@ def _steps(soles: Float[np.ndarray, "T F C 3"], contacts: FootContacts) -> Float
             steps, axis=(0, 1, 2), weights=np.broadcast_to(contacts.standing[..., None], steps.shape)
         )
     return steps
+
+
+def _slides(
+    soles: Float[np.ndarray, "T F C 3"], contacts: FootContacts, scale: float, fps: float, leg: float
+) -> tuple[Float[np.ndarray, "S F"], Float[np.ndarray, "S F 3"]]:
+    """Compute the weight of each foot in each interval, and the displacement that removes what it slides too far.
+
+    A sole may slide as far as the driving's does, scaled, in any direction: less is not made more.
+    """
+    mine = _steps(soles, contacts)
+    size, allowed = (np.linalg.norm(steps, axis=-1) for steps in (mine, scale * _steps(contacts.soles, contacts)))
+    weight = contacts.standing * falling(size * fps / leg, MISREAD_SPEED)
+    excess = 1 - np.minimum(1, allowed / np.maximum(size, 1e-9))
+    error = -((weight * excess)[..., None] * mine).sum(axis=2) / np.maximum(weight.sum(axis=2), 1e-9)[..., None]
+    return weight.max(axis=2), error
 
 
 def _heights(
@@ -659,15 +679,7 @@ def move_ankle(
     shortest = np.abs(upper - lower) + 1e-3 * upper
     distance = np.clip(_length(after), shortest, longest_reach(positions, leg))
     swing = rotations_between(before, after)
-    front = bend * rotation[:, hip, :, 2]
-    line = unit_vectors(before)  # the knee is, or should be, perpendicular to it
-    side = thigh - (thigh * line).sum(axis=-1, keepdims=True) * line
-    front = unit_vectors(front - (front * line).sum(axis=-1, keepdims=True) * line)
-    size = _length(side)
-    bent = smooth_step(size / _length(thigh), STRAIGHT)
-    mixed = bent * side / np.maximum(size, 1e-12) + (1 - bent) * front
-    # A knee bent exactly to the back would cancel out half-way: it keeps its side.
-    sideways = np.where(_length(mixed) > 1e-3, unit_vectors(mixed), front)
+    line, sideways = unit_vectors(before), _knee_direction(thigh, before, bend * rotation[:, hip, :, 2])
     # Law of cosines: where the knee is along the line from hip to ankle, and how far from it.
     along = (distance**2 + upper**2 - lower**2) / (2 * distance)
     across = np.sqrt(np.maximum(upper**2 - along**2, 0))
@@ -687,6 +699,20 @@ def longest_reach(positions: Float[np.ndarray, "T J 3"], leg: tuple[int, ...]) -
     """Return the largest distance of hip and ankle that is allowed: almost straight, or as straight as the leg is."""
     hip, knee, ankle = (positions[:, j] for j in leg)
     return np.maximum(LONGEST * (_length(knee - hip) + _length(ankle - knee)), _length(ankle - hip))
+
+
+def _knee_direction(
+    thigh: Float[np.ndarray, "T 3"], line: Float[np.ndarray, "T 3"], front: Float[np.ndarray, "T 3"]
+) -> Float[np.ndarray, "T 3"]:
+    """Return the direction, perpendicular to the line from hip to ankle, in which the knee is or should be."""
+    axis = unit_vectors(line)
+    bend = thigh - (thigh * axis).sum(axis=-1, keepdims=True) * axis
+    front = unit_vectors(front - (front * axis).sum(axis=-1, keepdims=True) * axis)
+    size = _length(bend)
+    bent = smooth_step(size / _length(thigh), STRAIGHT)
+    mixed = bent * bend / np.maximum(size, 1e-12) + (1 - bent) * front
+    # A knee bent exactly to the back would cancel out half-way: it keeps its side.
+    return np.where(_length(mixed) > 1e-3, unit_vectors(mixed), front)
 
 
 def _turn(rotation: Float[np.ndarray, "T 3 3"], vectors: Float[np.ndarray, "T 3"]) -> Float[np.ndarray, "T 3"]:

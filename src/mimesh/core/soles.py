@@ -253,7 +253,6 @@ class LowParts(NamedTuple):
         skinned: SkinnedMesh,
         limbs: tuple[tuple[tuple[int, ...], ...], tuple[tuple[int, ...], ...]],
         soles: Soles,
-        parents: tuple[int, ...],
     ) -> LowParts | None:
         """Find them; None of a mesh that has none.
 
@@ -262,18 +261,17 @@ class LowParts(NamedTuple):
             limbs: joints of each leg and of each arm.
             soles: contact points of feet and hands.
         """
-        joint_of, (legs, arms), parts = rig.weights.argmax(axis=1), limbs, []
+        joint_of, (legs, arms) = rig.weights.argmax(axis=1), limbs
+        parts: list[tuple[tuple[int, ...], SkinnedMesh]] = []
         feet = (leg[-1] for leg in legs if len(leg) == 3)
-        apart = descendants([*feet, *(joint for arm in arms for joint in arm)], parents)
-        trunk = _outermost(points, joint_of, np.setdiff1d(np.arange(len(parents)), apart))
+        apart = descendants([*feet, *(joint for arm in arms for joint in arm)], skinned.parents)
+        trunk = _outermost(points, joint_of, np.setdiff1d(np.arange(len(skinned.parents)), apart))
         for arm, palm in zip(arms, soles[len(legs) :], strict=True):
-            if len(arm) == 3:
-                # Sleeves hang lower than palms. Without a palm the forearm ends in the hand, which is shorter than it:
-                # what is farther from the wrist is a prop.
-                _, elbow, wrist = rig.joints[list(arm)]
-                near = np.linalg.norm(points - wrist, axis=1) < np.linalg.norm(wrist - elbow)
-                forearm = _outermost(points, np.where(near, joint_of, -1), np.array(descendants([arm[1]], parents)))
-                part = forearm if palm is None else np.unique(palm)
+            if palm is not None:  # sleeves hang lower
+                parts.append((arm, skinned.part(np.unique(palm))))
+            elif len(arm) == 3:
+                forearm = np.array(descendants([arm[1]], skinned.parents))
+                part = _outermost(points, np.where(_near_hand(points, rig, arm), joint_of, -1), forearm)
                 parts += [(arm, skinned.part(part))] if len(part) else []
         return cls(skinned.part(trunk), tuple(parts)) if len(trunk) else None
 
@@ -301,10 +299,14 @@ def _palm_points(
     points: Float[np.ndarray, "N 3"], rig: Rig, arm: tuple[int, ...], parents: tuple[int, ...]
 ) -> Int[np.ndarray, "C M"] | None:
     """Find the contact points of a hand: those of a foot along x, of what is no prop in it."""
-    _, elbow, wrist = rig.joints[list(arm)]
-    near = np.linalg.norm(points - wrist, axis=1) < np.linalg.norm(wrist - elbow)  # a hand is shorter than its forearm
-    hand = replace(rig, weights=np.where(near[:, None], rig.weights, 0.0))
+    hand = replace(rig, weights=np.where(_near_hand(points, rig, arm)[:, None], rig.weights, 0.0))
     return sole_points(points, hand, arm[-1], parents, along=0)
+
+
+def _near_hand(points: Float[np.ndarray, "N 3"], rig: Rig, arm: tuple[int, ...]) -> Bool[np.ndarray, " N"]:
+    """Tell which points may be of the hand of an arm, which is shorter than its forearm: farther away is a prop."""
+    _, elbow, wrist = rig.joints[list(arm)]
+    return np.linalg.norm(points - wrist, axis=1) < np.linalg.norm(wrist - elbow)
 
 
 def sole_height(points: Float[np.ndarray, "N 3"], soles: Soles, legs: int) -> float | None:

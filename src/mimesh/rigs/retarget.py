@@ -244,9 +244,7 @@ class Retarget:
     def low_parts(self) -> LowParts | None:
         """Outermost points of what should not get below the floor; None of joints without a mesh."""
         own = self.character
-        if len(own.points) == 0:
-            return None
-        return LowParts.of(own.points, own.rig, own.skinned, (own.legs, own.arms), own.soles, own.parents)
+        return LowParts.of(own.points, own.rig, own.skinned, (own.legs, own.arms), own.soles)
 
     def posed_joints(
         self, track: JointTrack, across: float | None, in_place: bool, ground: bool, contacts: bool
@@ -271,8 +269,7 @@ class Retarget:
         if contacts and self.contacts is not None:
             posed = self.contacts.kept(posed, track, is_cyclic(track, self.motion.leg))
         if ground and self.feet is not None and self.low_parts is not None:
-            parents, height = self.character.parents, self.stride
-            posed = keep_above_floor(posed, track, self.low_parts, self.feet, height, parents, self.motion.floor)
+            posed = keep_above_floor(posed, track, self.low_parts, self.feet, self.stride, self.motion.floor)
         return posed
 
     def lift(self, posed: PosedJoints, track: JointTrack) -> float | None:
