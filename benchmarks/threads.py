@@ -20,7 +20,8 @@ import tempfile
 import time
 from pathlib import Path
 
-from mimesh.commands.options import LINEAR_ALGEBRA, NETWORKS
+from mimesh.commands.options import NETWORKS
+from mimesh.core.threads import LINEAR_ALGEBRA
 from mimesh.evaluate.provenance import commit, machine
 from mimesh.io.atomic import whole_file
 from mimesh.motions.bvh import load_bvh

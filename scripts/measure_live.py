@@ -3,7 +3,7 @@
     python scripts/measure_live.py [-o benchmarks/live.json] [--frames 10000] [--pairs 6]
 
 `latency` and `memory` are of one stream: both meshes have 13,000 vertices, frames are float32, and linear algebra has
-one thread; `two_threads_ms` is the same with two. `prepared_with` has the mean vertex error against the known truth
+one thread. `prepared_with` has the mean vertex error against the known truth
 in percent of the identity's height, both centred, by the number of frames that a session was prepared with; that of
 `animate` for the same clip, with planted feet and without; and the mean speed of soles on the ground in heights a
 second. Pairs are two random people with two seconds of a captured motion, and two random animals with a gait.
@@ -35,8 +35,6 @@ VERTICES = 13_000
 RATE = 60.0
 WARM_UP = 100
 """Frames before the measured ones."""
-TWO_THREADS = 200
-"""Most frames with two threads: where other programs are busy, each takes long."""
 SHARES = (50, 90, 99, 100)
 """Percentiles; the last is the slowest frame."""
 PREPARED = (1, 2, 4, 16)
@@ -85,13 +83,11 @@ def stream(frames: int) -> dict:
     times = pose_all(session, driving, frames)
     gc.collect()
     after = resident()
-    two_threads = mimesh.prepare(identity, known, threads=2)
     return {
         "prepare_s": round(prepared, 2),
         "latency_ms": percentiles(times),
         "over_5_ms": int((times > 5.0).sum()),
         "memory_mib": {"start": before, "end": after},
-        "two_threads_ms": percentiles(pose_all(two_threads, driving, min(frames, TWO_THREADS))),
     }
 
 

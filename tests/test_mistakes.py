@@ -130,8 +130,6 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "negative smoothing": (_animate(CUBE, CLIP, smooth=-1), "smooth: expected seconds"),
     "joints of copy": (_animate(CUBE, CLIP, "copy", skinned=True), "skinned: expected a model with joints"),
     "progress that is none": (_animate(CUBE, CLIP, "copy", progress=True), "progress: expected a function"),
-    "half a thread": (lambda: mimesh.prepare(CUBE, CUBE, threads=0.5), "threads: expected a whole number"),  # type: ignore[arg-type]
-    "no thread": (lambda: mimesh.prepare(CUBE, CUBE, threads=0), "threads: expected 1 or more"),
     "a clip as frame": (lambda: SESSION.pose(CLIP), "give clip.vertices[t]"),  # type: ignore[arg-type]
     "a transposed frame": (lambda: SESSION.pose(V.T), "give frame.T"),
     "several frames": (lambda: SESSION.pose(CLIP.vertices), "give one frame at a time"),

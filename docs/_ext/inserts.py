@@ -295,14 +295,10 @@ def live(part: str) -> str:
         head = ["", *(f"{report['pairs']} pairs: {body}" for body in figures)]
         return f"{markdown_table(head, rows)}\n\n{origin}"
     assert part == "speed"
-    latency, two = report["latency_ms"], report["two_threads_ms"]
-    rows = [
-        [label, *(_ms(times[key]) for key in ("p50", "p90", "p99", "max"))]
-        for label, times in (("1 thread", latency), ("2 threads", two))
-    ]
+    row = [_ms(report["latency_ms"][key]) for key in ("p50", "p90", "p99", "max")]
     memory = report["memory_mib"]
     return (
-        f"{markdown_table(['a frame', 'median', '90 %', '99 %', 'slowest'], rows)}\n\n"
+        f"{markdown_table(['a frame, median', '90 %', '99 %', 'slowest'], [row])}\n\n"
         f"Both meshes have {report['vertices']:,} vertices; preparing took {report['prepare_s']:.1f} s with "
         f"{report['prepared_frames']} frames. {report['over_5_ms']:,} of {report['frames']:,} frames took more than "
         f"5 ms. The process had {memory['start']:.0f} MiB before them and {memory['end']:.0f} MiB after. {origin}"

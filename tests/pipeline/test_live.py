@@ -13,7 +13,6 @@ from matrix import matrix
 from networks import write_network, write_sequence_network
 from people import person, walk
 from rigs import of_kind
-from threadpoolctl import threadpool_info, threadpool_limits
 
 import mimesh
 from mimesh import InputError, LiveSession
@@ -242,29 +241,12 @@ def test_a_model_that_fails_in_a_frame_goes_on(driving):
     ("options", "message"),
     [
         ({"root": "up"}, "^root: expected"),
-        ({"threads": 0}, "threads: expected 1 or more"),
         ({"model": "npt", "root": "drop"}, "expected a model with joints"),
     ],
 )
 def test_unusable_options_are_refused(driving, options, message):
     with pytest.raises(InputError, match=message):
         mimesh.prepare(person(0), driving, **options)
-
-
-def test_threads_of_linear_algebra_are_limited_during_a_frame_only(driving):
-    def threads() -> set[int]:
-        return {library["num_threads"] for library in threadpool_info() if library["user_api"] == "blas"}
-
-    seen = []
-    method = Own(lambda vertices: seen.append(threads()))
-    with threadpool_limits(2, user_api="blas"):
-        before = threads()
-        session = mimesh.prepare(person(0), driving, method)
-        session.pose(driving.vertices[1])
-        assert seen == [{1}, {1}, {1}]
-        assert threads() == before
-        mimesh.prepare(person(0), driving, method, threads=None).pose(driving.vertices[1])
-        assert seen[3:] == 3 * [before]
 
 
 def test_memory_does_not_grow(driving, session):

@@ -18,6 +18,7 @@ from typer.core import TyperCommand
 
 from ..core.options import RecordedRange, declared
 from ..core.printable import say
+from ..core.threads import LINEAR_ALGEBRA
 from .terminal import lift_limits
 
 T = TypeVar("T")
@@ -144,12 +145,8 @@ LOGGER = "mimesh"
 """Name of the logger whose lines --verbose prints."""
 NETWORKS = "MIMESH_THREADS"
 """Environment variable of the threads of a network (`methods.onnx_runtime`)."""
-LINEAR_ALGEBRA = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
-"""Environment variables of the threads of linear algebra, which its libraries read when they are loaded."""
 ALL_CORES = ("train",)
-"""Commands that use all cores by default: their matrix products are large. Elsewhere a second thread of linear algebra
-waits for the first by spinning: with other programs on two cores, transfers took 2.5 times as long, and 2.5 times the
-processor time (benchmarks/threads.json)."""
+"""Commands that use all cores by default: their matrix products are large."""
 
 
 class Command(TyperCommand):
@@ -205,14 +202,14 @@ def _limit_loaded(count: int, at_end: Callable[[Callable[[], object]], object]) 
     """Set the threads of libraries that are loaded already, until the command ends."""
     from threadpoolctl import threadpool_limits
 
-    limits, before = threadpool_limits(count, user_api="blas"), os.environ.get(NETWORKS)
-    os.environ[NETWORKS] = str(count)
+    limits, before = threadpool_limits(count, user_api="blas"), dict(os.environ)
+    os.environ.update(dict.fromkeys((*LINEAR_ALGEBRA, NETWORKS), str(count)))
 
     def restore() -> None:
         limits.restore_original_limits()
-        os.environ.pop(NETWORKS)
-        if before is not None:
-            os.environ[NETWORKS] = before
+        for name in (*LINEAR_ALGEBRA, NETWORKS):
+            del os.environ[name]
+            os.environ.update({name: before[name]} if name in before else {})
 
     at_end(restore)
 

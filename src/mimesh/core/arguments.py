@@ -16,18 +16,20 @@ import numpy as np
 from jaxtyping import Float, Int
 
 from .errors import InputError
+from .threads import one_thread
 
 F = TypeVar("F", bound=Callable[..., Any])
 
 
 def public(function: F) -> F:
-    """Make a function one that programs call: arguments are checked before it runs, and wrong ones raise InputError."""
+    """Make a function one that programs call: wrong arguments raise InputError, linear algebra has `one_thread`."""
     signature = inspect.signature(function)
 
     @functools.wraps(function)
     def call(*args: Any, **kwargs: Any) -> Any:
         check_call(signature, args, kwargs)
-        return function(*args, **kwargs)
+        with one_thread():
+            return function(*args, **kwargs)
 
     return cast(F, call)
 

@@ -160,7 +160,6 @@ def prepare(
     hints: Hints = NO_HINTS,
     options: ModelOptions = USUAL,
     root: str = "scale",
-    threads: int | None = 1,
 ) -> LiveSession:
     """Prepare an identity for a live stream; the session then poses it by one driving frame at a time.
 
@@ -178,8 +177,6 @@ def prepare(
         driving: the driving mesh in one frame, or in some frames of its motion, or the path of either.
         model, hints, options: see `transfer`.
         root: displacement over the ground, as in `MotionOptions`; other values than "scale" for mime only.
-        threads: threads of linear algebra while a session is prepared and used; None leaves what the libraries are set
-            to. They are set for the whole process during each call, and set back.
 
     Returns:
         The session, whose `pose` maps vertices (U, 3) of the driving to vertices (V, 3) of the identity.
@@ -194,17 +191,16 @@ def prepare(
         >>> session.pose(frame).shape  # (V, 3)
         (502, 3)
     """
-    from .live import limited_threads, live_session
+    from .live import live_session
 
     identity = read_mesh(identity, "identity")
     shown = Clip.still(read_mesh(driving, "driving")) if isinstance(driving, Mesh) else driving
     clip = dataclasses.replace(read_clip(shown, None, None), skeleton=None)
     motion = MotionOptions(root, ground=False)
-    with limited_threads(threads)():
-        chosen = _model(model, (identity, clip.mesh), options)
-        known = _known(hints, chosen, clip)
-        route = find_route(identity, clip, chosen, known, motion, live=True).with_refinement(options.refine)
-    session = live_session(route, chosen.name, root, threads)
+    chosen = _model(model, (identity, clip.mesh), options)
+    known = _known(hints, chosen, clip)
+    route = find_route(identity, clip, chosen, known, motion, live=True).with_refinement(options.refine)
+    session = live_session(route, chosen.name, root)
     _name_axis_sources(session.report, hints)
     return session
 

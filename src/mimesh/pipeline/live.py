@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 from collections import deque
 from collections.abc import Callable, Iterator
-from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, field
 from typing import cast
 
@@ -21,6 +20,7 @@ from ..core.arguments import described
 from ..core.errors import InputError
 from ..core.joint_tracks import JointTrack
 from ..core.mesh import LARGEST, Clip, Mesh
+from ..core.threads import one_thread
 from ..methods.base import Drive
 from ..rigs.retarget import Retarget
 from .joint_route import JointRoute, report_confidence
@@ -61,8 +61,6 @@ class LiveSession:
     _pose: PoseFrame = field(repr=False)
     _shift: Float[np.ndarray, " 3"] = field(repr=False)
     """Brings the result of the first frame to the identity's position, normalised."""
-    _limit: Callable[[], AbstractContextManager] = field(repr=False)
-    """Limits the threads of linear algebra."""
     _parts: PartRoute | None = field(default=None, repr=False)
     """The parts of both meshes that are meant; None: all."""
 
@@ -93,7 +91,7 @@ class LiveSession:
         norms, parts = self._route.norms, self._parts
         if parts is not None and parts.driving is not None:
             vertices = vertices[parts.driving.index]
-        with self._limit():
+        with one_thread():
             posed = self._pose(norms[1].apply(vertices)) @ self._route.turn.T
             placed = norms[0].undo(posed + self._shift)
         return placed if parts is None else parts.placed(placed)
@@ -140,46 +138,29 @@ class LiveSession:
         return vertices
 
 
-def live_session(found: Route | PartRoute, model: str, root: str, threads: int | None) -> LiveSession:
+def live_session(found: Route | PartRoute, model: str, root: str) -> LiveSession:
     """Make the session of a route."""
     parts = found if isinstance(found, PartRoute) else None
     route = found.route if isinstance(found, PartRoute) else found
     assert not isinstance(route, NodeRoute)  # `find_route` makes none for live frames
-    first, limit = route.driving_frame(0), limited_threads(threads)
-    with limit():
-        if isinstance(route, VertexRoute):
-            moved = _step(route.drive, first, route.names[1], route.method.name)
-        else:
-            scale = route.norms[1].radius / route.norms[0].radius
-            moved = _follow_joints(route.retarget, first, scale if root == "keep" else None, root == "drop")
+    first = route.driving_frame(0)
+    if isinstance(route, VertexRoute):
+        moved = _step(route.drive, first, route.names[1], route.method.name)
+    else:
+        scale = route.norms[1].radius / route.norms[0].radius
+        moved = _follow_joints(route.retarget, first, scale if root == "keep" else None, root == "drop")
 
-        def pose(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
-            return route.refined(moved(vertices))
+    def pose(vertices: Float[np.ndarray, "U 3"]) -> Float[np.ndarray, "V 3"]:
+        return route.refined(moved(vertices))
 
-        lift = route.lift_of_frames if isinstance(route, JointRoute) else None
-        shift = route.shift(pose(first) @ route.turn.T, lift)
+    lift = route.lift_of_frames if isinstance(route, JointRoute) else None
+    shift = route.shift(pose(first) @ route.turn.T, lift)
     report, notes = _report(route)
     clip = route.clip
     driving = Mesh(np.asarray(clip.vertices[0], np.float64), clip.mesh.faces, clip.mesh.name)
     if parts is not None and parts.driving is not None:
         driving = dataclasses.replace(parts.driving.whole, source=None)
-    return LiveSession(found.identity, driving, model, report, notes, route, pose, shift, limit, parts)
-
-
-def limited_threads(threads: int | None) -> Callable[[], AbstractContextManager]:
-    """Return the function that makes a context in which linear algebra uses so many threads; None: as many as before.
-
-    The products of a frame are small: a second thread gains little on an idle machine, and on a busy one the first
-    waits for it (benchmarks/live.json).
-    """
-    if threads is None:
-        return nullcontext
-    if threads < 1:
-        raise InputError(f"threads: expected 1 or more, or None, found {threads}; give a positive number")
-    from threadpoolctl import ThreadpoolController
-
-    libraries = ThreadpoolController().select(user_api="blas")
-    return lambda: libraries.limit(limits=threads)
+    return LiveSession(found.identity, driving, model, report, notes, route, pose, shift, parts)
 
 
 def _follow_joints(
