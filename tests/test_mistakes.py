@@ -120,7 +120,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "a mesh as clip": (_animate(CUBE, CUBE), "mimesh.Clip.still(mesh)"),
     "frames as clip": (_animate(CUBE, CLIP.vertices), "mimesh.Clip(mesh, vertices)"),
     "a rate of text for a file": (_animate(CUBE, CLIP, "copy", fps="24"), "fps: expected a number or None, found '24'"),
-    "a negative rate": (_animate(CUBE, CLIP, "copy", fps=-1), "expected a positive frame rate"),
+    "a negative rate": (_animate(CUBE, CLIP, "copy", fps=-1), "expected a frame rate from 0.001 to 10,000"),
     "no step": (_animate(CUBE, CLIP, "copy", step=0), "step: expected 1 or more"),
     "a start in seconds": (_animate(CUBE, CLIP, "copy", start=0.5), "start: expected a whole number"),
     "a start after the end": (_animate(CUBE, CLIP, "copy", start=9), "expected start and stop within its 2 frames"),
@@ -128,6 +128,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
     "an unknown root": (_animate(CUBE, CLIP, root="stay"), "root: expected one of scale, keep, drop"),
     "ground of text": (_animate(CUBE, CLIP, ground="no"), "ground: expected True or False"),
     "negative smoothing": (_animate(CUBE, CLIP, smooth=-1), "smooth: expected seconds"),
+    "smoothing of hours": (_animate(CUBE, CLIP, smooth=1e5), "smooth: expected seconds from 0 to 10"),
     "joints of copy": (_animate(CUBE, CLIP, "copy", skinned=True), "skinned: expected a model with joints"),
     "progress that is none": (_animate(CUBE, CLIP, "copy", progress=True), "progress: expected a function"),
     "a clip as frame": (lambda: SESSION.pose(CLIP), "give clip.vertices[t]"),  # type: ignore[arg-type]
@@ -154,7 +155,7 @@ MISTAKES: dict[str, tuple[Callable[[], Any], str]] = {
         lambda: mimesh.save_clip(mimesh.Clip(CUBE, CLIP.vertices, 0), "a.npz"),
         "replace(clip, fps=",
     ),
-    "no rate": (lambda: mimesh.save_clip(mimesh.Clip(CUBE, CLIP.vertices, 0), "a.npz"), "expected a positive"),
+    "no rate": (lambda: mimesh.save_clip(mimesh.Clip(CUBE, CLIP.vertices, 0), "a.npz"), "expected a frame rate"),
     "one result for save_skinned": (lambda: mimesh.save_skinned(MOVING, "a.glb"), "give [result]"),  # type: ignore[arg-type]
     "a pose for save_skinned": (lambda: mimesh.save_skinned([RESULT], "a.glb"), "expected those of animate"),  # type: ignore[list-item]
     "no joints to save": (lambda: mimesh.save_skinned([MOVING], "a.glb"), "expected a model with joints"),

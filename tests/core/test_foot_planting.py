@@ -12,7 +12,9 @@ from mimesh.bodies.sampling import sample_shape
 from mimesh.core.foot_planting import (
     HEIGHTS,
     LONGEST,
+    STRAIGHT,
     PosedJoints,
+    _knee_direction,
     _solve,
     find_contacts,
     foot_skate,
@@ -220,6 +222,16 @@ def test_long_feet_do_not_swing_through_the_floor():
     assert after < 0.08 * leg
 
 
+def test_knees_that_are_bent_backwards_keep_their_side():
+    """By as much as would cancel out with the front."""
+    share, front = np.mean(STRAIGHT), np.tile([0.0, 0.0, 1.0], (5, 1))
+    back = np.linspace(0.8, 1.2, 5) * share
+    thigh = np.stack([0 * back, -np.sqrt(1 - back**2), -back], axis=1)
+    found = _knee_direction(thigh, np.tile([0.0, -1.0, 0.0], (5, 1)), front)
+    np.testing.assert_allclose(np.linalg.norm(found, axis=1), 1)
+    np.testing.assert_allclose(np.abs(found[:, 2]), 1)
+
+
 def test_bones_keep_their_lengths_and_feet_their_directions():
     found = walking(1.25)
     raw, corrected = found.posed(), found.planted()
@@ -393,9 +405,11 @@ def test_hands_stand_where_the_drivings_do(arm):
     before, planted = error(posed), plant_feet(posed, track, skinned, feet, (1.0, 1.0))
     assert np.abs(before[:, 2:]).min() > 0.06
     assert np.abs(error(planted)).max() < 0.02
-    bones = np.linalg.norm(
-        np.diff(skinned.joint_positions(planted.rotation[0], planted.root[0])[list(ARMS[0])], axis=0), axis=1
-    )
+    joints = skinned.joint_positions(planted.rotation[0], planted.root[0])
+    shoulder, elbow, wrist = joints[list(ARMS[0])]
+    back = -planted.rotation[0, ARMS[0][0], :, 2]
+    assert (elbow - (shoulder + wrist) / 2) @ back > -0.001, "elbows bend to the back"
+    bones = np.linalg.norm(np.diff(joints[list(ARMS[0])], axis=0), axis=1)
     np.testing.assert_allclose(bones, np.linalg.norm(np.diff(own.joints[list(ARMS[0])], axis=0), axis=1), atol=1e-6)
 
 
@@ -526,3 +540,7 @@ def test_arms_and_seats_that_reach_lower_than_the_drivings_are_on_the_floor(long
     soles = [feet.identity_soles(of.rotation, of.root)[:, :2] for of in (planted, lifted)]
     np.testing.assert_allclose(*soles, atol=0.01)
     np.testing.assert_allclose(lifted.rotation[:4], planted.rotation[:4], atol=1e-5, err_msg="before it gets low")
+    misread = SkinnedMesh.of(vertices - [0.0, 3.0, 0.0], own, BODY.parents)  # legs deep in the floor
+    far = LowParts.of(vertices, own, misread, (LEGS, ARMS), mine)
+    assert far is not None
+    np.testing.assert_array_equal(keep_above_floor(planted, track, far, feet, 1.0).rotation, planted.rotation)

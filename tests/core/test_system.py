@@ -43,7 +43,7 @@ def test_an_open_file_is_renamed_once_it_is_closed(tmp_path, monkeypatch):
 def test_a_file_that_stays_open_is_an_error_and_nothing_appears(tmp_path, monkeypatch):
     replace, calls = busy_replace(10**6)
     monkeypatch.setattr(system, "RENAME_SECONDS", 0.1)
-    stand_in = SimpleNamespace(name="nt", replace=replace, umask=os.umask)
+    stand_in = SimpleNamespace(name="nt", replace=replace)
     monkeypatch.setattr(system, "os", stand_in)
     with pytest.raises(InputError, match=r"b\.txt: expected a place to write to, found 'The process cannot"):
         write_together(tmp_path / "b.txt")

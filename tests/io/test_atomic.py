@@ -50,6 +50,17 @@ def test_files_of_a_block_appear_at_its_end(tmp_path):
     assert written(tmp_path / "a.txt") == tmp_path / "a.txt"
 
 
+@posix
+@pytest.mark.parametrize("mask", [0o022, 0o077])
+def test_files_have_the_rights_of_new_ones(tmp_path, mask):
+    before = os.umask(mask)
+    try:
+        write(tmp_path / "a.txt", "a")
+    finally:
+        os.umask(before)
+    assert (tmp_path / "a.txt").stat().st_mode & 0o777 == 0o666 & ~mask
+
+
 def write_all(folder: Path, files: tuple[str, ...], error: BaseException | None = None, taken: Path | None = None):
     """Write files and a folder of frames together; at last raise an error, or take the name of one of them."""
     with together():

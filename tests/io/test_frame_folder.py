@@ -92,6 +92,12 @@ def test_later_obj_frames_are_read_by_the_fast_path_with_equal_result(tmp_path, 
     assert len(calls) == 1
 
 
+def test_continued_lines_of_vertices_are_read_in_all_frames(tmp_path):
+    for t in range(3):
+        (tmp_path / f"{t}.obj").write_text(f"v 0 0 \\\n0\nv 1 0 0\nv 0 1 {t}\nf 1 2 3\n")
+    np.testing.assert_array_equal(load_clip(tmp_path).vertices[:, 2, 2], [0, 1, 2])
+
+
 @pytest.mark.parametrize("suffix", [".obj", ".ply", ".npz"])
 def test_frame_of_another_topology_is_named(suffix, tmp_path):
     cube = zoo.cube()

@@ -147,7 +147,7 @@ def test_every_frame_is_checked_for_large_numbers():
     frames[2] *= 1e200
     with pytest.raises(InputError, match="larger ones in frame 2"):
         check_clip(Clip(cube, frames), "a")
-    with pytest.raises(InputError, match="expected a positive frame rate, found inf"):
+    with pytest.raises(InputError, match="expected a frame rate from"):
         check_clip(Clip(cube, frames[:2], np.inf), "a")
 
 

@@ -371,6 +371,11 @@ def test_a_pattern_of_the_identity_alone_makes_one_file_of_all_clips(tmp_path, m
     assert is_done()
     save_clip(walk(frames=4, faces=600), "clips/walk.npz")
     assert not is_done()
+    row["preview"] = "yes"
+    mimesh.batch([row], workers=1)
+    assert is_done()
+    Path("out/a-walk.preview.html").unlink()
+    assert not is_done()
     with pytest.raises(mimesh.InputError, match="expected paths of meshes beside those of drivings, found none"):
         mimesh.batch([], ["poses"], "out/{number}.obj")
     with pytest.raises(mimesh.InputError, match="expected one driving for transfer, found 2"):

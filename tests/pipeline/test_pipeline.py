@@ -136,6 +136,16 @@ def test_notes_of_the_identitys_file_are_passed_on():
     assert "its skin was dropped" in result.notes
 
 
+def test_a_result_is_apart_from_the_arrays_of_the_caller():
+    identity, pose = Mesh(person(0).vertices.copy(), person(0).faces.copy()), person(2, 1)
+    result = transfer(identity, pose, "copy")
+    vertices, faces = result.mesh.vertices.copy(), result.mesh.faces.copy()
+    identity.vertices[:] = identity.faces[:] = 0
+    np.testing.assert_array_equal(result.mesh.vertices, vertices)
+    np.testing.assert_array_equal(result.mesh.faces, faces)
+    assert faces.any()
+
+
 def test_files_and_meshes_give_the_same_result(tmp_path):
     identity, driving = person(0), person(1, 0)
     save_mesh(identity, tmp_path / "identity.obj")

@@ -67,6 +67,34 @@ def test_animations_of_joints_without_a_mesh_can_be_chosen(files, tmp_path):
         session.close()
 
 
+def test_errors_of_cancelled_work_are_nobodys(capsys):
+    """Its inputs may have been replaced while it ran."""
+    worker, began, go = Worker(), threading.Event(), threading.Event()
+
+    def fail(progress):
+        began.set()
+        assert go.wait(10)
+        raise TypeError("object of type 'NoneType' has no len()")
+
+    cancelled, reported = worker.submit("a", fail), worker.submit("b", fail)
+    assert began.wait(10)
+    worker.cancel("a")
+    go.set()
+    assert isinstance(cancelled.exception(10), Cancelled)
+    assert isinstance(reported.exception(10), TypeError)
+    assert capsys.readouterr().err.count("Traceback") == 1
+    worker.close()
+
+
+def test_a_refused_change_changes_nothing(session):
+    finished(session)
+    driving = session.driving
+    for changes in ({"up": "+z", "fps": -5}, {"fps": 12, "up": -1}, {"front": ["+x"]}):
+        with pytest.raises(InputError, match="expected"):
+            session.set_item(driving.number, changes)
+    assert (driving.up, driving.front, driving.fps) == (None, None, None)
+
+
 def only_item(session):
     """Return the only mesh to move."""
     return next(iter(session.identities.values()))

@@ -176,7 +176,7 @@ def test_unknown_suffixes_are_refused(tmp_path):
 @pytest.mark.parametrize("fps", [float("inf"), 1e9])
 def test_impossible_frame_rates_are_refused(fps, tmp_path):
     save_clip(clip(), tmp_path / "a.glb")
-    with pytest.raises(InputError, match="expected a frame rate of 10,000 or less"):
+    with pytest.raises(InputError, match="expected a frame rate from"):
         load_clip(tmp_path / "a.glb", fps=fps)
 
 

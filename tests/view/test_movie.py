@@ -83,7 +83,7 @@ def test_a_movie_that_fails_halfway_leaves_no_file(tmp_path):
         ("a.avi", 2, 10.0, "expected a movie name ending in .webp, .gif or .mp4, found .avi"),
         ("a", 2, 10.0, "found no suffix"),
         ("a.gif", 0, 10.0, "expected at least one frame, found none"),
-        ("a.gif", 2, 0.0, "expected a positive frame rate, found 0"),
+        ("a.gif", 2, 0.0, "expected a frame rate from 0.001 to 10,000, found 0"),
     ],
 )
 def test_unwritable_movies_are_refused(tmp_path, name, frames, fps, message):

@@ -20,6 +20,7 @@ from .budgets import FACES, VERTICES, check_clip_size
 from .errors import InputError, damaged, option
 from .frame_buffer import Frames, PosedFrames, Progress, each_frame, store_frames
 from .geometry import face_areas, first_of_each, normal_turner
+from .options import check_rate
 from .person_motion import JointSource
 
 UNNAMED = "mesh"
@@ -313,8 +314,7 @@ def check_timing(clip: Clip, path: str | Path, advice: str) -> None:
     """Raise InputError for a clip without frames, or with an impossible frame rate and advice on that."""
     if len(clip) == 0:
         raise InputError(f"{path}: expected at least one frame, found none; export the animation again")
-    if not 0 < clip.fps < np.inf:
-        raise InputError(f"{path}: expected a positive frame rate, found {clip.fps:g}; {advice}")
+    check_rate(clip.fps, path, advice)
 
 
 def with_printable_names(mesh: Mesh) -> Mesh:

@@ -22,6 +22,10 @@ if TYPE_CHECKING:
     from .mesh import Mesh
 
 T = TypeVar("T")
+LOWEST_FPS, HIGHEST_FPS = 1e-3, 1e4
+"""Frames a second; other rates are mistakes, and lead to as many frames, or none."""
+LONGEST_SMOOTHING = 10.0
+"""Seconds."""
 AXES = ("up", "front", "driving_up", "driving_front")
 """Hints that are axes."""
 AXIS = "x, y, z, -x, -y or -z, instead of the one found."
@@ -226,8 +230,9 @@ class MotionOptions:
     def __post_init__(self) -> None:
         """Raise InputError if a time or a number of weights is not allowed."""
         check_influences(self.influences)
-        if not 0 <= self.smooth < float("inf"):
-            raise InputError(f"{option('smooth')}: expected seconds, 0 or more, found {self.smooth}; try 0.05")
+        if not 0 <= self.smooth <= LONGEST_SMOOTHING:
+            found = f"expected seconds from 0 to {LONGEST_SMOOTHING:g}, found {self.smooth:g}"
+            raise InputError(f"{option('smooth')}: {found}; try 0.05")
 
     @property
     def changes_motion(self) -> bool:
@@ -249,6 +254,13 @@ class MotionOptions:
         for field in dataclasses.fields(self):
             if field.name not in ("ground", "contacts") and getattr(self, field.name) not in (field.default, None):
                 raise needs_joints(field.name, model)
+
+
+def check_rate(fps: float, where: str | Path, advice: str) -> None:
+    """Raise InputError for a frame rate that is none."""
+    if not LOWEST_FPS <= fps <= HIGHEST_FPS:
+        expected = f"a frame rate from {LOWEST_FPS:g} to {HIGHEST_FPS:,.0f}"
+        raise InputError(f"{where}: expected {expected}, found {fps:g}; {advice}")
 
 
 def check_influences(count: int) -> None:
@@ -332,9 +344,8 @@ class Layout:
 
     def __post_init__(self) -> None:
         """Raise InputError if a rate is not allowed."""
-        if self.fps is not None and not 0 < self.fps < float("inf"):
-            name = option("output_fps")
-            raise InputError(f"{name}: expected a positive frame rate, found {self.fps:g}; give for example 30")
+        if self.fps is not None:
+            check_rate(self.fps, option("output_fps"), "give for example 30")
 
 
 @dataclass(frozen=True)

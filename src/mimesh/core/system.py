@@ -57,13 +57,6 @@ def refuse_pipe(path: str | Path) -> None:
         raise InputError(f"{path}: expected a file, found a pipe or a device; save what comes from it as a file first")
 
 
-def file_mode_mask() -> int:
-    """Return the process's file mode mask; the system can only report it by setting it."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
-
-
 def resident_memory() -> float | None:
     """Return the memory of this process in MiB; None where the system does not tell (macOS, Windows)."""
     pages = Path("/proc/self/statm")

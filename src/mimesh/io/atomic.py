@@ -1,4 +1,4 @@
-"""Write files and folders to a temporary name beside the target, which is then renamed: outputs are whole or absent.
+"""Write files and folders to a temporary name beside the target, which is then renamed: a file is whole or absent.
 
 `together` does so with all files of a command. A run that is killed leaves its temporary files; the next one that
 writes to their folder deletes those that are a day old.
@@ -20,7 +20,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from ..core.errors import InputError
-from ..core.system import file_mode_mask, rename
+from ..core.system import rename
 
 PREFIX = ".mimesh-tmp-"
 """What names of temporary files and folders begin with; nothing else has such names."""
@@ -86,12 +86,10 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     target = _target(path)
     target.parent.mkdir(parents=True, exist_ok=True)
     _remove_left_over(target.parent)
-    descriptor, name = tempfile.mkstemp(path.suffix, f"{PREFIX}{path.stem[:STEM_LENGTH]}-", target.parent)
-    os.close(descriptor)
-    temporary = Path(name)
-    try:
+    temporary = _temporary_name(target.parent, path.stem, path.suffix)
+    try:  # from before the file exists: a signal may come as soon as it does
+        temporary.touch(exist_ok=False)
         yield temporary
-        temporary.chmod(0o666 & ~file_mode_mask())  # mkstemp makes files that only their owner can read
         _finish({target: temporary}, temporary)
     except BaseException:
         _delete(temporary)
@@ -108,7 +106,7 @@ def whole_folder(path: str | Path) -> Iterator[Path]:
     path.parent.mkdir(parents=True, exist_ok=True)
     parent = path if path.is_dir() else path.parent
     _remove_left_over(parent)
-    temporary = _folder_name(parent, path.name)
+    temporary = _temporary_name(parent, path.name)
     try:  # from before the folder exists: a signal may come as soon as it does
         temporary.mkdir(mode=0o700)
         yield temporary
@@ -123,7 +121,7 @@ def scratch_folder(parent: Path | None = None) -> Iterator[Path]:
     """Yield a folder in `parent`, by default the system's for temporary files, that is deleted after the block."""
     parent = parent or Path(tempfile.gettempdir())
     _remove_left_over(parent)
-    temporary = _folder_name(parent, "work")
+    temporary = _temporary_name(parent, "work")
     try:
         temporary.mkdir(mode=0o700)
         yield temporary
@@ -144,8 +142,8 @@ def writing(path: Path, expected: str = "a place to write to", advice: str = "ch
         raise InputError(f"{path}: expected {expected}, found '{error.strerror}'; {advice}") from error
 
 
-def _folder_name(parent: Path, stem: str) -> Path:
-    return parent / f"{PREFIX}{stem[:STEM_LENGTH]}-{secrets.token_hex(8)}"
+def _temporary_name(parent: Path, stem: str, suffix: str = "") -> Path:
+    return parent / f"{PREFIX}{stem[:STEM_LENGTH]}-{secrets.token_hex(8)}{suffix}"
 
 
 def _target(path: Path) -> Path:

@@ -17,10 +17,11 @@ from ..core.arguments import public
 from ..core.errors import InputError, option
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, check_clip, check_mesh, cut_clip, stored_clip
+from ..core.options import check_rate
 from ..core.system import refuse_pipe
 from .atomic import writing
 from .formats import ANIMATED, BODY_MODELS, CLIP_READERS, JOINTED, MESH_READERS, MOTIONS, PICTURES, found_suffix
-from .timing import DEFAULT_FPS, HIGHEST_FPS
+from .timing import DEFAULT_FPS
 
 PACKED = (b"PK\3\4", b"Rar!", b"7z\xbc\xaf")
 """First bytes of archives of several files."""
@@ -255,15 +256,8 @@ def _check_clip_options(path: Path, fps: float | None, animation: str | None) ->
             f"{path}: expected {' or '.join(ANIMATED)} with {option('animation', ...)}, found '{path.suffix}'; leave "
             "it out"
         )
-    if fps is not None and not fps > 0:
-        raise InputError(
-            f"{path}: expected a positive frame rate, found {fps:g}; give another with {option('fps', ...)}"
-        )
-    if fps is not None and fps > HIGHEST_FPS:
-        raise InputError(
-            f"{path}: expected a frame rate of {HIGHEST_FPS:,.0f} or less, found {fps:g}; give another with "
-            f"{option('fps', ...)}"
-        )
+    if fps is not None:
+        check_rate(fps, path, f"give another with {option('fps', ...)}")
 
 
 def _load_frame(path: Path) -> Mesh:

@@ -160,9 +160,10 @@ def read_obj_points(path: Path, like: ObjSource) -> Float[np.ndarray, "V 3"] | N
     lines = _read_text(path).splitlines(keepends=True)
     vertex_lines = [i for i, line in enumerate(lines) if line[:2] in (b"v ", b"v\t")]
     faces = [line for line in lines if line[:2] in (b"f ", b"f\t")]
-    # Equal text is equal topology unless indices are relative; an indented or continued line fails this test too.
+    # Equal text is equal topology unless indices are relative; an indented or continued face fails this test too.
     is_same = faces == [like.lines[i] for i in like.face_lines] and not any(b"-" in line for line in faces)
-    if not is_same or len(vertex_lines) != len(like.vertices):
+    continued = any(lines[i].rstrip().endswith(b"\\") for i in vertex_lines)
+    if continued or not is_same or len(vertex_lines) != len(like.vertices):
         return None
     return read_numbers(lines, vertex_lines, 1, 3, path)
 

@@ -11,8 +11,6 @@ ON_GRID = 0.02
 """Frames; a time nearer than this to a whole frame counts as on it."""
 DEFAULT_FPS = 30.0
 """Frames per second of files without a frame rate."""
-HIGHEST_FPS = 10_000.0
-"""Frames per second; a higher rate on the command line is refused as a mistake."""
 LONGEST = 3600.0
 """Seconds; a longer animation is refused, since its times are most likely damaged."""
 

@@ -17,7 +17,7 @@ import threading
 import time
 import traceback
 from collections import Counter, deque
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import closing, suppress
@@ -290,8 +290,9 @@ def _digest(path: Path, *_: int) -> str:
     return digest.hexdigest()
 
 
-def _written(job: BatchJob) -> dict[str, list[str]]:
-    return {str(path): _contents(path) for path in job.outputs()}
+def _written(job: BatchJob, more: Iterable[str]) -> dict[str, list[str]]:
+    """Return the contents of the outputs of a job; only the job itself knows the previews of several clips."""
+    return {path: _contents(Path(path)) for path in sorted({*map(str, job.outputs()), *more})}
 
 
 def _record(job: BatchJob) -> dict[str, Any]:
@@ -301,9 +302,10 @@ def _record(job: BatchJob) -> dict[str, Any]:
     except (OSError, ValueError, RecursionError):
         return {}
     head = {"format": FORMAT, "version": VERSION}
-    if not isinstance(record, dict) or not head.items() <= record.items() or record.get("outputs") != _written(job):
+    if not isinstance(record, dict) or not head.items() <= record.items():
         return {}
-    return record
+    outputs = record.get("outputs")
+    return record if isinstance(outputs, dict) and outputs == _written(job, outputs) else {}
 
 
 def recorded(task: BatchTask) -> dict[str, Any] | None:
@@ -353,7 +355,8 @@ def _do_job(task: BatchTask, begin: float) -> dict[str, Any]:
         "error": None,
     }
     head = {"format": FORMAT, "version": VERSION, "made_from": task.made_from}
-    record = {**head, "outputs": _written(job), "outcome": outcome}
+    previews = [path for of in reports for path in (*of.get("pictures", ()), of.get("page")) if path]
+    record = {**head, "outputs": _written(job, previews), "outcome": outcome}
     with writing(path), whole_file(path) as temporary:
         temporary.write_text(json.dumps(record) + "\n", encoding="utf-8", newline="\n")
     return {**outcome, "memory_mib": resident_memory()}

@@ -366,6 +366,7 @@ def run_command(job: BatchJob) -> dict[str, Any]:
 
 def check_jobs(jobs: Sequence[BatchJob], more_inputs: Sequence[Path], more_outputs: Sequence[Path]) -> None:
     """Check jobs, and the files that a batch reads and writes besides theirs. Meshes are not read."""
+    option_values.cache_clear()  # a network that an option names may have been deleted since
     places: defaultdict[str, list[tuple[str, str]]] = defaultdict(list)
     not_installed = cache(_not_installed)  # pairs have the same files again and again, which may have to be opened
     for job in jobs:

@@ -23,6 +23,7 @@ from ..core.errors import InputError
 from ..core.frame_buffer import store_frames
 from ..core.geometry import MIRROR, mirrored_rotations, slerp
 from ..core.mesh import Clip, check_cut
+from ..core.options import check_rate
 
 _SIDE_BONES = {"UpLeg": "Leg", "Leg": "Foot", "Arm": "ForeArm", "ForeArm": "Hand"}
 BONES = {f"{side}{bone}": f"{side}{tail}" for side in ("Left", "Right") for bone, tail in _SIDE_BONES.items()}
@@ -94,8 +95,7 @@ def resample(motion: Motion, fps: float, source: str | None = None) -> Motion:
         InputError: `fps` is not positive, or there would be too many frames.
     """
     source = source or motion.name
-    if not fps > 0:
-        raise InputError(f"{source}: expected a positive frame rate, found {fps:g}; give for example 30")
+    check_rate(fps, source, "give for example 30")
     FRAMES.check(int(min(len(motion) / motion.fps * fps, LARGEST_PRINTED)), source)
     before, after, fraction = frames_around(len(motion), motion.fps, fps)
     rotmat = slerp(motion.rotmat[before], motion.rotmat[after], fraction[:, None])

@@ -168,8 +168,8 @@ def prepare(
     looked at, as by `animate`, which finds joints more exactly and tells whether fingers move (docs/api.md has the
     figures): record some seconds with various poses where you can.
 
-    A session makes the frames of `animate` with `ground=False` and `smooth=0`: all need later
-    frames. Joints in the driving's file are not used, because frames of a stream are vertices only; the rig of the
+    A session makes the frames of `animate` with `ground=False`, `contacts=False` and `smooth=0`: all need later frames.
+    Joints in the driving's file are not used, because frames of a stream are vertices only; the rig of the
     identity's file is.
 
     Args:

@@ -1,7 +1,7 @@
 """A session that poses an identity one driving frame at a time, as the frames of a live stream arrive.
 
 Everything that is done once is done as for a clip (`route.find_route`); only what needs later frames is left out:
-smoothing over time, and planting of feet.
+smoothing over time, planting of feet, and contacts of hands.
 """
 
 from __future__ import annotations

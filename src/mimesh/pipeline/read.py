@@ -45,7 +45,7 @@ def read_mesh(mesh: Mesh | str | Path, role: str) -> Mesh:
     """Read a mesh, or check one in memory; see `_named`."""
     if isinstance(mesh, Mesh):
         # A result is saved later: what the caller does with the array until then must not change it.
-        mesh = _named(mesh.with_vertices(mesh.vertices.copy()), role)
+        mesh = _named(dataclasses.replace(mesh, vertices=mesh.vertices.copy(), faces=mesh.faces.copy()), role)
         return check_mesh(mesh, mesh.name)
     return load_mesh(Path(mesh))
 

@@ -112,9 +112,11 @@ class Worker:
         except (Cancelled, InputError) as error:
             job.future.set_exception(error)
         except Exception as error:
-            # A bug must be visible in the terminal, and must not end the thread.
-            say(*traceback.format_exc().splitlines(), error=True)
-            job.future.set_exception(error)
+            if job.cancelled:  # its inputs may have been replaced while it ran
+                job.future.set_exception(Cancelled())
+            else:  # a bug must be visible in the terminal, and must not end the thread
+                say(*traceback.format_exc().splitlines(), error=True)
+                job.future.set_exception(error)
         else:
             job.future.set_result(value)
         finally:

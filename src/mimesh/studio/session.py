@@ -34,6 +34,9 @@ from .uploads import UploadFolder
 MOST_IDENTITIES = 32
 """Largest number of meshes to move; each is stored with its result."""
 
+RESULTS = ("pose", "joints", "result")
+"""Jobs of a mesh that need the driving."""
+
 
 class Session:
     """Everything the studio's page shows and changes."""
@@ -125,12 +128,13 @@ class Session:
         part = changes.get("part", item.part) or None
         if part not in (None, item.part, *item.parts):
             raise InputError(f"{item.name}: expected one of its parts, found {str(part)[:60]!r}; choose one of them")
+        fps = parse_rate(changes.get("fps", item.fps))
         item.up, item.front, item.part = up, front, part
         if item.content is not None:
             item.facing = operations.detect_facing(item.content, item.axes)
         if item is self.driving and changes.keys() & {"animation", "fps"} and item.path is not None:
             item.animation = changes.get("animation", item.animation) or None
-            item.fps = parse_rate(changes.get("fps", item.fps))
+            item.fps = fps
             folder = self._folder(item.upload)
             self._read(item, partial(operations.read_clip, item.path, folder, item.name, item.fps, item.animation))
         self.refresh()
@@ -261,6 +265,8 @@ class Session:
         item.content, item.error, item.outcome = None, "", None
         item.read += 1
         self._cancel_jobs(item)
+        for identity in self.identities.values() if item is self.driving else ():  # their results are of what it was
+            self._cancel_jobs(identity, RESULTS)
 
         def finish(future: Future) -> None:
             error = future.exception()
@@ -336,7 +342,8 @@ class Session:
         options, so that sliders respond quickly. Refinement is a second step, for the same reason.
         """
         driving, mesh = self.driving, item.content
-        if driving is None or not isinstance(mesh, Mesh) or not isinstance(driving.content, Clip):
+        clip = driving and driving.content
+        if driving is None or not isinstance(mesh, Mesh) or not isinstance(clip, Clip):
             raise Cancelled
         inputs, options, cached = preparation_inputs(item, driving, self.options), self.options, item.preparation
         if cached is None or not cached.serves(inputs, options.motion_changes):
@@ -346,10 +353,10 @@ class Session:
             route = cached.route.with_refinement(options.refine)
             cached = dataclasses.replace(cached, refine=options.refine, route=route)
         item.preparation = cached
-        return cached.route, driving.content
+        return cached.route, clip
 
-    def _cancel_jobs(self, item: Item) -> None:
-        for what in ("read", "pose", "joints", "result"):
+    def _cancel_jobs(self, item: Item, kinds: Sequence[str] = ("read", *RESULTS)) -> None:
+        for what in kinds:
             self.worker.cancel((what, item.number))
 
 

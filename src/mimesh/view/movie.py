@@ -16,6 +16,7 @@ from ..core.frame_buffer import PAGED, Progress, counted, release_pages
 from ..core.geometry import normal_turner
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
+from ..core.options import check_rate
 from ..io import check_writable, save_clip
 from ..io.atomic import whole_file, writing
 from .camera import Camera, extreme_points, fit, follow, orbit
@@ -62,8 +63,7 @@ def save_movie(frames: Iterable[Image.Image | np.ndarray], path: str | Path, fps
         known = ".webp, .gif or .mp4"
         raise InputError(f"{path}: expected a movie name ending in {known}, found {path.suffix or 'no suffix'}")
     check_writable(path)
-    if not fps > 0:
-        raise InputError(f"{path}: expected a positive frame rate, found {fps:g}; give one with {option('fps', ...)}")
+    check_rate(fps, path, f"give one with {option('fps', ...)}")
     pictures = (Image.fromarray(x) if isinstance(x, np.ndarray) else x.convert("RGB") for x in frames)
     if suffix == ".mp4":
         with writing(path), whole_file(path) as temporary:

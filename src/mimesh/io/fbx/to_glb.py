@@ -29,6 +29,7 @@ from jaxtyping import Float, Int
 
 from ...core.errors import InputError, damaged
 from ...core.geometry import continuous_quaternions
+from ...core.options import HIGHEST_FPS
 from ..beside import is_there
 from ..gltf.animation import AnimationChannel, add_animation
 from ..gltf.check import ARRAY_BUFFER
@@ -36,7 +37,7 @@ from ..gltf.draft import PER_SET, Draft, NumberTooLarge, accessor_bounds
 from ..gltf.scene import DEFAULT_TRS
 from ..mtl import image_type
 from ..polygons import fan_corners
-from ..timing import DEFAULT_FPS, HIGHEST_FPS, LONGEST, frame_count
+from ..timing import DEFAULT_FPS, LONGEST, frame_count
 
 # ufbx declares the arguments of its functions only in a stub that type checkers do not all follow.
 # pyright: reportAttributeAccessIssue=false
