@@ -141,6 +141,19 @@ def test_a_figure_on_a_base_stands_on_it(half, height):
         assert part.notes[0].startswith("the base of scene stays where it is")
 
 
+def test_shoes_that_are_pieces_of_their_own_are_no_base():
+    """As flat below as the floor that they stand on."""
+    figure = person(0, faces=2000)
+    figure = figure.with_vertices(figure.vertices - [0, figure.vertices[:, 1].min(), 0])
+    shoes = np.concatenate([(CORNERS + [0, 1, 0]) * [0.05, 0.08, 0.13] + [x, -0.01, 0.04] for x in (-0.12, 0.12)])
+    faces = [figure.faces, *(BASE + len(figure.vertices) + start for start in (0, 8))]
+    shod = Mesh(np.concatenate([figure.vertices, shoes]), np.concatenate(faces), "shod")
+    for half, height in ((2.0, 0.0), (0.6, 0.2)):
+        part = find_part(on_base(shod, half, height), None)
+        assert part is not None
+        np.testing.assert_array_equal(part.index, np.arange(len(shod.vertices)))
+
+
 def test_people_have_no_base():
     for mesh in (person(0), person(1, pose=3)):
         assert flat_side(mesh)[0] is None

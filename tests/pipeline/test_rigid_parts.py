@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from motion_files import bone_directions, write_bvh
 
+from mimesh.__main__ import run
 from mimesh.bodies import load_body
 from mimesh.core.geometry import nearest_rotation
 from mimesh.core.options import Hints, MotionOptions
@@ -105,6 +106,12 @@ def test_parts_turn_rigidly_to_the_directions_of_the_driving(kind, model, tmp_pa
             bone = PLACES[tail][1] - PLACES[joint][1]
             cosine = turn[order[NAMES.index(joint)]] @ bone / np.linalg.norm(bone) @ wanted[joint][t]
             assert np.degrees(np.arccos(min(cosine, 1.0))) < 0.1
+
+
+def test_the_command_rig_keeps_nodes_as_joints(tmp_path, capsys):
+    path = boxes(tmp_path / "a.glb", "nodes")
+    assert run(["rig", str(path), "-o", str(tmp_path / "b.glb"), "--json", "--no-preview"]) == 0
+    assert json.loads(capsys.readouterr().out)["joints"] >= len(NAMES)
 
 
 def test_parts_of_a_mesh_that_was_cut_are_no_rig(tmp_path):

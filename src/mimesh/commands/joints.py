@@ -93,8 +93,9 @@ def rig(
             picture, lambda: save_picture(rig_picture(skeleton, rigged.report), picture)
         )
     count = len(skeleton.names)
-    if rigged.own is not None:
-        count = len({joint for skin in rigged.own.source.document.gltf["skins"] for joint in skin["joints"]})
+    if rigged.own is not None:  # those of rigid pieces are nodes
+        skins = rigged.own.source.document.gltf.get("skins", ())
+        count = len({joint for skin in skins for joint in skin["joints"]}) or count
     notes = (*not_kept(rigged.skeleton.mesh, target, rigged.body), *not_drawn)
     facts = _facts(rigged, target, replaced, count, corrected, notes)
     facts["vertices"] = len(rigged.mesh.vertices)

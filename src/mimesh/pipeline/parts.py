@@ -10,6 +10,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -35,6 +36,9 @@ if TYPE_CHECKING:
 
 BASE_FLAT = 0.1
 """Share of the surface of a base that lies in its flat side, at least; of a person on it soles do, 0.02."""
+LONGEST_SHOE, SAME_SHOE = 0.35, 0.05
+"""Length of a shoe over the height of a mesh, at most, and by how much areas of a pair differ. Shoes and boots that are
+pieces of their own are as flat as a base."""
 MOST_NAMED = 12
 """Parts that a message names."""
 
@@ -184,9 +188,12 @@ def _without_base(mesh: Mesh, asked: str) -> MeshPart | None:
     merged, position = weld(mesh.vertices)
     faces = position[mesh.faces]
     component = component_labels(edges(faces), len(merged))[faces[:, 0]]
-    area = face_areas(mesh.vertices, mesh.faces)
-    flat = np.bincount(component[lying], area[lying], component.max() + 1) / np.bincount(component, area).clip(1e-30)
-    base = flat[component] > BASE_FLAT  # soles on a floor may be in its side, too
+    area, count = face_areas(mesh.vertices, mesh.faces), component.max() + 1
+    lies, all_of = np.bincount(component[lying], area[lying], count), np.bincount(component, area, count)
+    flat = lies / all_of.clip(1e-30) > BASE_FLAT  # soles on a floor may be in its side, too
+    for one, other in _shoes(mesh, component, np.flatnonzero(flat), np.stack([lies, all_of], axis=1), side):
+        flat[[one, other]] = False
+    base = flat[component]
     kept = np.flatnonzero(~base)
     if not base.any() or len(kept) < len(mesh.faces) / 2:
         return None
@@ -197,6 +204,26 @@ def _without_base(mesh: Mesh, asked: str) -> MeshPart | None:
         return dataclasses.replace(_cut(mesh, whole), notes=(note,)) if pure and whole.any() else None
     index = np.unique(mesh.faces[kept])
     return MeshPart(mesh, chosen_faces(mesh, kept, index), index, (note,))
+
+
+def _shoes(
+    mesh: Mesh,
+    component: Int[np.ndarray, " F"],
+    flat: Int[np.ndarray, " K"],
+    areas: Float[np.ndarray, "C 2"],
+    side: str,
+) -> Iterator[tuple[int, int]]:
+    """Yield pairs of flat components that are shoes: short, and of the same areas, in the side and in all."""
+    up = "xyz".index(side[1])
+    height = np.ptp(mesh.vertices[:, up])
+    short = []
+    for k in flat.tolist():
+        points = mesh.vertices[np.unique(mesh.faces[component == k])]
+        if np.ptp(np.delete(points, up, axis=1), axis=0).max() < LONGEST_SHOE * height:
+            short.append(k)
+    for one, other in combinations(short, 2):
+        if np.allclose(areas[one], areas[other], rtol=SAME_SHOE):
+            yield one, other
 
 
 def named_parts(mesh: Mesh) -> dict[str, Bool[np.ndarray, " P"]]:
