@@ -14,6 +14,7 @@ from mimesh.core.foot_planting import (
     LONGEST,
     STRAIGHT,
     PosedJoints,
+    _ground,
     _knee_direction,
     _solve,
     find_contacts,
@@ -285,6 +286,14 @@ def test_in_place_everyone_makes_the_steps_of_the_own_legs():
         steps.append(np.ptp(here.soles(plant_feet(posed, here.track, here.skinned, here.feet, scale))[..., 2]))
     assert steps[1] == pytest.approx(steps[0], rel=0.02)
     assert steps[0] == pytest.approx(np.ptp(here.soles(posed)[..., 2]), rel=0.05)
+
+
+@pytest.mark.parametrize(("every", "speed", "ground"), [(3, 5.0, 0.0), (5, 0.1, 0.3)])
+def test_the_ground_of_who_runs_in_place_is_where_soles_are_fast(every, speed, ground):
+    """In some frames they are on it, in the others slow, 0.3 leg lengths above; who is slow below has sunk."""
+    low = np.arange(60) % every == 0
+    heights, speeds = (np.where(low, *values)[:, None, None] for values in ((0.0, 0.3), (speed, 0.1)))
+    assert _ground(heights, speeds) == ground
 
 
 def test_nothing_changes_without_contacts():

@@ -41,6 +41,8 @@ NO_PATH = 1e-4
 """Leg lengths: a root that moves less has no path in its file, so its height says nothing."""
 GROUND_SHARE = 0.25
 """The ground is the height that the lowest point has, or is below, in this share of the frames in which it stands."""
+NEVER_SLOW = 0.1
+"""Share of the frames far below a ground, and mean weight of their slowness, from which and up to which it is none."""
 SHORTEST_CONTACT = 0.05
 """Seconds: shorter contacts, and gaps between them, are noise. Feet of sprinters stand for 0.1 (Weyand et al. 2000)."""
 FEWEST_FRAMES = 3
@@ -124,16 +126,24 @@ def find_contacts(track: JointTrack, leg: float, hands: int = 0) -> FootContacts
 def _ground(height: Float[np.ndarray, "S F C"], speed: Float[np.ndarray, "S F C"]) -> float:
     """Return the height of the ground: a low quantile of the lowest point's height in frames in which it is slow.
 
-    Not the lowest height of all: feet of captures sink into the ground for moments.
+    Not the lowest height of all: feet of captures sink into the ground for moments. Soles of who runs in place are
+    fast whenever they are on the ground, and slow where they turn in the air, far above.
     """
     count = len(height)
     lowest = height.reshape(count, -1).argmin(axis=1)
     height, speed = (array.reshape(count, -1)[np.arange(count), lowest] for array in (height, speed))
     # With a little weight for every frame, for clips in which feet never are slow (a treadmill).
-    weight = falling(speed, STANDING_SPEED) + 1e-3
-    order = height.argsort(kind="stable")
-    share = np.cumsum(weight[order]) / weight.sum()
-    return float(height[order][np.searchsorted(share, GROUND_SHARE)])
+    weight, order = falling(speed, STANDING_SPEED) + 1e-3, height.argsort(kind="stable")
+
+    def low_height(weight: Float[np.ndarray, " S"]) -> float:
+        share = np.cumsum(weight[order]) / weight.sum()
+        return float(height[order][np.searchsorted(share, GROUND_SHARE)])
+
+    ground = low_height(weight)
+    below = height < ground - STANDING_HEIGHT[1]
+    if below.mean() > NEVER_SLOW and weight[below].mean() < NEVER_SLOW:
+        return low_height(np.ones(count))
+    return ground
 
 
 def _ground_velocity(
@@ -550,15 +560,18 @@ def ever_upright(track: JointTrack, feet: Feet) -> bool:
 def height_of_soles(posed: PosedJoints, track: JointTrack, feet: Feet, scale: float) -> tuple[float, float]:
     """Measure how far an identity has to be lifted for its lowest sole to be as high as the driving's, scaled.
 
-    That is the median over the frames in which feet are on the ground (hands, where feet never are), or over all
-    frames of a clip in which nobody stands. The second figure is the height of the driving's planted soles, or of its
-    lowest ones.
+    That is the median over the frames in which feet are on the ground (hands, where feet never are), or in which they
+    are lowest, in a clip in which nobody stands. The second figure is the height of the driving's planted soles, or of
+    its lowest ones.
     """
     assert track.soles is not None
     theirs, mine = track.soles[..., 1].min(axis=2), feet.identity_soles(posed.rotation, posed.root)[..., 1].min(axis=2)
     contacts, legs = find_contacts(track, feet.driving_leg, feet.hands), len(feet.legs) - feet.hands
-    part, frames = slice(legs), slice(None)
-    if contacts is not None:
+    part = slice(legs)
+    if contacts is None:
+        height = theirs[:, part].min(axis=1)
+        frames = height <= height.min() + NEAR_GROUND[0] * feet.driving_leg
+    else:
         part = part if (contacts.near[:, :legs] > 0.5).any() else slice(legs, None)
         frames = (contacts.near[:, part] > 0.5).any(axis=1)
     lowest = theirs[frames, part].min(axis=1)
