@@ -252,7 +252,13 @@ def test_a_person_in_centimetres_without_a_unit_is_noted_in_formats_in_metres(tm
     assert noted in convert(tmp_path / "man.obj", tmp_path / "man.glb").notes
     mesh = load_mesh(tmp_path / "man.obj")
     assert not_kept(mesh, tmp_path / "man.glb", "human") == (noted,)
-    assert not_kept(mesh, tmp_path / "man.glb", "quadruped") == not_kept(mesh, tmp_path / "man.ply") == ()
+    assert not_kept(mesh, tmp_path / "man.glb", "other") == not_kept(mesh, tmp_path / "man.ply") == ()
+    of_animals = {size: not_kept(mesh.with_vertices(size / 182.5 * mesh.vertices), tmp_path / "a.glb", "quadruped")
+                  for size in (1.5, 120, 1200)}  # fmt: skip
+    assert [note[0].partition("an animal, if ")[2] for note in of_animals.values() if note] == [
+        "its unit is cm; scale by 0.01 on import",
+        "its unit is mm; scale by 0.001 on import",
+    ]
     in_metres = load_mesh(tmp_path / "man.glb")
     assert not_kept(in_metres, tmp_path / "man.gltf") == ()
     assert "man.vrm has in metres" in not_kept(in_metres, tmp_path / "man.vrm")[0]

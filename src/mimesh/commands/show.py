@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -45,7 +46,10 @@ def look(files: Files, no_limits: terminal.NoLimits = False, json: terminal.Json
         say(f"mimesh: {error}", error=True)
     if errors:
         raise errors[-1]
-    terminal.print_next("render", *files, "-o", "sheet.png")
+    found = {tuple(re.findall(r"(?:up|front) [+]?(-?[xyz])", fact.stands or "")) for fact in facts.values()}
+    turned = [axes for axes in found if len(axes) == 2 and axes != ("y", "z")] if len(found) == 1 else []
+    axes = [f"--{name}={axis}" for of in turned for name, axis in zip(("up", "front"), of, strict=True)]
+    terminal.print_next("render", *files, "-o", "sheet.png", *axes)
 
 
 @with_options

@@ -94,7 +94,10 @@ def load_bvh(path: str | Path) -> Bvh:
     text = path.read_bytes().decode("utf-8-sig", errors="replace")
     found = MOTION.search(text)
     if found is None or text.split(maxsplit=1)[0] != "HIERARCHY":
-        raise InputError(f"{path}: expected a BVH file with HIERARCHY and MOTION, found neither; export it as BVH")
+        cut = "no MOTION; the file is cut off, copy it again" if found is None and text.startswith("HIERARCHY") else ""
+        raise InputError(
+            f"{path}: expected a BVH file with HIERARCHY and MOTION, found {cut or 'neither; export it as BVH'}"
+        )
     names, parents, offsets, ends, channels = _read_hierarchy(text[: found.start("word")], path)
     start = found.end("word")
     fps, values, notes = _read_rows(text[start:], text.count("\n", 0, start) + 1, sum(map(len, channels)), path)

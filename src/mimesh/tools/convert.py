@@ -35,6 +35,8 @@ LARGE = 256 * 2**20
 """Bytes of a clip from which on a note says how to make it smaller."""
 PERSON = (1.4, 2.1)
 """Longest side (metres) of a standing person, arms spread or not: smallest and largest."""
+ANIMAL = {"m": 10.0, "cm": 500.0, "mm": 5000.0}
+"""Unit -> longest side of an animal in it, at most."""
 UNITS = (("m", 1.0), ("dm", 0.1), ("cm", 0.01), ("mm", 0.001), ("inch", 0.0254))
 """Names of units, and their length in metres."""
 NOTED_LIMITING = 0.02
@@ -419,7 +421,7 @@ def not_kept(mesh: Mesh, path: Path, body: str | None = None) -> tuple[str, ...]
     suffix = path.suffix.lower()
     if isinstance(mesh.source, RewritableSource) and mesh.source.suffix == suffix:
         return ()
-    turned = _turned_note(mesh, path) + (() if body in ("quadruped", "other") else _metres_note(mesh, path))
+    turned = _turned_note(mesh, path) + (() if body == "other" else _metres_note(mesh, path, body == "quadruped"))
     materials = {part.material for part in mesh.parts}
     is_image = len(materials) == 1 and any(material and material.texture for material in materials)
     has = {
@@ -445,8 +447,10 @@ def _turned_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
     return (f"{mesh.name} has up {mesh.up}: {path.name} is turned to +y, which its format has up",)
 
 
-def _metres_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
+def _metres_note(mesh: Mesh, path: Path, animal: bool) -> tuple[str, ...]:
     """Return a note on a person of no person's size in a format in metres, unless the mesh's own file has a unit.
+
+    The same of animals, of many sizes: only centimetres and millimetres are told.
 
     glTF files are in metres, too, whatever they should be in: only a .vrm, which is a person, gets a note on them.
     """
@@ -454,11 +458,12 @@ def _metres_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
     if suffix not in JOINTED or hasattr(mesh.source, "meters_per_unit") or (own in JOINTED and suffix != ".vrm"):
         return ()
     longest = float(np.ptp(mesh.vertices, axis=0).max())
-    unit = unit_guess(longest)
+    unit = unit_guess(longest) if not animal else next((u for u, sizes in ANIMAL.items() if longest < sizes), None)
     if unit in (None, "m"):
         return ()
+    kind = "an animal" if animal else "a person"
     return (
-        f"{mesh.name} measures {longest:.4g}, which {path.name} has in metres: a person, if its unit is {unit}; "
+        f"{mesh.name} measures {longest:.4g}, which {path.name} has in metres: {kind}, if its unit is {unit}; "
         f"scale by {dict(UNITS)[unit]:g} on import",
     )
 

@@ -344,6 +344,8 @@ WHITE_MATERIAL = Material("default", (1.0, 1.0, 1.0, 1.0))
 def build_document(mesh: Mesh, moved: Mesh, skinned: bool = False) -> tuple[Draft, list[PrimitiveGroup]]:
     """Build a document that shows `moved`, and describe its primitives; of a mesh with a glTF source edit that file.
 
+    Objects of the mesh (`_objects`) have nodes of their own.
+
     Vertices are split where the uv or the normal of `mesh` changes: glTF has one set of attributes for each vertex.
     `moved` is `mesh` with other vertices (or itself); both have corner normals. Within a part the vertices keep their
     order, so a part without seams keeps its numbering. Vertices that no face uses are written with the first part; a
@@ -351,8 +353,10 @@ def build_document(mesh: Mesh, moved: Mesh, skinned: bool = False) -> tuple[Draf
     """
     if isinstance(mesh.source, GltfSource):
         return edit_document(mesh.source, moved, skinned)
-    draft = Draft({"asset": {"version": "2.0", "generator": "mimesh"}, "scene": 0, "scenes": [{"nodes": [0]}]})
-    primitives, groups = [], []
+    draft = Draft({"asset": {"version": "2.0", "generator": "mimesh"}, "scene": 0})
+    objects = _objects(mesh)
+    primitives: list[list[dict[str, Any]]] = [[] for _ in objects]
+    groups = []
     materials: dict[Material, int] = {}
     default = DEFAULT_MATERIAL if mesh.vertex_colors is None else WHITE_MATERIAL
     for part, vertex_of, corner_of, indices in _split_parts(mesh):
@@ -360,14 +364,29 @@ def build_document(mesh: Mesh, moved: Mesh, skinned: bool = False) -> tuple[Draf
         if len(indices):
             primitive["indices"] = draft.add_indices(indices)
             primitive["material"] = materials.setdefault(part.material or default, len(materials))
-        primitives.append(primitive)
+        node = objects.index(part.name) if part.name in objects else 0
+        primitives[node].append(primitive)
         groups.append(
-            PrimitiveGroup(0, [primitive], vertex_of, corner_of, np.eye(4), "NORMAL" in primitive["attributes"])
+            PrimitiveGroup(node, [primitive], vertex_of, corner_of, np.eye(4), "NORMAL" in primitive["attributes"])
         )
-    draft.gltf["nodes"] = [{"name": mesh.name, "mesh": 0, **stage_transform(mesh)}]
-    draft.gltf["meshes"] = [{"name": mesh.name, "primitives": primitives}]
+    draft.gltf["scenes"] = [{"nodes": list(range(len(objects)))}]
+    draft.gltf["nodes"] = [{"name": name, "mesh": k, **stage_transform(mesh)} for k, name in enumerate(objects)]
+    draft.gltf["meshes"] = [{"name": name, "primitives": of} for name, of in zip(objects, primitives, strict=True)]
     _add_materials(draft, list(materials), textured=mesh.corner_uv is not None)
     return draft, groups
+
+
+def _objects(mesh: Mesh) -> list[str]:
+    """Return the names of the objects of a mesh: those of its parts, if all have one and no vertex is of two of them.
+
+    Groups of one surface, such as its hip and its thigh, are no objects.
+    """
+    parts = [part for part in mesh.parts if part.stop > part.start]
+    names = list(dict.fromkeys(part.name for part in parts))
+    used = [np.unique(np.concatenate([mesh.faces[p.start : p.stop] for p in parts if p.name == n])) for n in names]
+    if len(names) < 2 or "" in names or sum(map(len, used)) > len(np.unique(mesh.faces)):
+        return [mesh.name]
+    return names
 
 
 def stage_transform(mesh: Mesh) -> dict[str, list[float]]:

@@ -19,7 +19,7 @@ from .scene import node_parents
 
 FEWEST_JOINTS = 8
 """Joints of a skeleton from which on it may be that of a second character: a flag or a door has fewer."""
-HALF_AS_TALL = 0.5
+AS_TALL = 0.4
 """Height of a second character, over that of the tallest."""
 
 
@@ -70,7 +70,7 @@ def characters(mesh: Mesh) -> dict[str, Bool[np.ndarray, " P"]]:
     tallest = max(high[1] - low[1] for low, high in whole.values())
     found: list[int] = []
     for root, (low, high) in whole.items():
-        tall = len(joints[root]) >= FEWEST_JOINTS and high[1] - low[1] >= HALF_AS_TALL * tallest
+        tall = len(joints[root]) >= FEWEST_JOINTS and high[1] - low[1] >= AS_TALL * tallest
         if tall and all(_apart((low, high), whole[other]) for other in found):
             found.append(root)
     own_names = {}

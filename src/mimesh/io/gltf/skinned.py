@@ -53,10 +53,13 @@ def write_gltf_skinned(animations: Sequence[RigAnimation], path: Path, animated:
     rest = local_quaternions(skeleton.rig.rotation[None], skeleton.parents)[0]
     joint_nodes = _add_joints(draft, skeleton, rest)
     _add_weights(draft, groups, skeleton)
+    skins: dict[bytes, int] = {}
     for node in dict.fromkeys(group.node for group in groups):
         node_groups = [group for group in groups if group.node == node]
-        skin = _add_skin(draft, skeleton, joint_nodes, node_groups[0].T_world_local)
-        _attach_skinned_mesh(draft, node, skin, node_groups)
+        place = node_groups[0].T_world_local
+        if place.tobytes() not in skins:
+            skins[place.tobytes()] = _add_skin(draft, skeleton, joint_nodes, place)
+        _attach_skinned_mesh(draft, node, skins[place.tobytes()], node_groups)
     if animated:
         draft.gltf["animations"] = []
         for animation in animations:
