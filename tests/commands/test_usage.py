@@ -170,6 +170,20 @@ def test_threads_of_loaded_libraries_are_set_back(files, call, monkeypatch):
     assert (threads(), THREADS in os.environ) == (before, False)
 
 
+@pytest.mark.parametrize(
+    ("stands", "axes"),
+    [
+        ("up +z, front -y, taken for a person (a guess)", " --up=z --front=-y"),
+        ("up +y (by the file), front +x, a person by its rig", " --up=y --front=x"),
+        ("up +y, front +z, taken for a person (a guess)", ""),
+        ("looks neither like a person nor like a four-legged animal", ""),
+    ],
+)
+def test_look_names_the_axes_to_render_with(files, call, monkeypatch, stands, axes):
+    monkeypatch.setattr("mimesh.tools.inspect._stands", lambda mesh: stands)
+    assert call("look hero.obj").out.splitlines()[-1] == f"next: mimesh render hero.obj -o sheet.png{axes}"
+
+
 def test_progress_is_told_in_lines_where_there_is_no_terminal(capsys, monkeypatch):
     monkeypatch.setattr(terminal, "LINE_SECONDS", 0.01)
     with terminal.progress("frames", quiet=False) as advance:

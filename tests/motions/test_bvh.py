@@ -93,6 +93,7 @@ def test_hips_may_move_below_a_resting_root(tmp_path):
     ("old", "new", "message"),
     [
         ("HIERARCHY", "SOMETHING", "expected a BVH file"),
+        ("MOTION", "", "found no MOTION; the file is cut off"),
         ("OFFSET 0 -5 0", "OFFSET 0 five 0", "expected a whole HIERARCHY"),
         ("Zrotation Yrotation Xrotation\n  JOINT", "Zrotation Yrotation Wrotation\n  JOINT", "found 'Wrotation'"),
         ("MOTION", "}\nMOTION", "expected a whole HIERARCHY"),

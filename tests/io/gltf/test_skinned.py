@@ -2,12 +2,14 @@
 
 import numpy as np
 import pytest
+import zoo
 from people import person, walk
 from scipy.spatial.transform import Rotation
 
 from mimesh.core.animated_rig import AnimatedRig, RigAnimation
 from mimesh.core.errors import InputError
 from mimesh.core.frame_buffer import LazyFrames
+from mimesh.core.mesh import Mesh, Part
 from mimesh.core.rig import Rig
 from mimesh.io import load_clip, load_mesh, save_mesh
 from mimesh.io.gltf.document import open_document, read_accessor
@@ -52,6 +54,25 @@ def test_a_mesh_in_other_axes_leaves_no_empty_node(model, tmp_path):
     assert [node["name"] for node in nodes if "mesh" in node] == ["zup"]
     assert all("mesh" in node or k in joints or node["name"] == "axes" for k, node in enumerate(nodes))
     assert np.ptp(load_mesh(tmp_path / "moved.glb").vertices, axis=0).argmax() == 1  # stands
+
+
+@pytest.mark.parametrize("shared", [False, True])
+def test_objects_of_an_obj_keep_their_names(model, tmp_path, shared):
+    """One skin serves all; parts that share vertices are groups of one surface."""
+    mesh, hat = person(0), zoo.cube()
+    top = mesh.vertices[:, 1].max()
+    vertices = np.concatenate([mesh.vertices, 0.1 * hat.vertices + [0, top, 0]])
+    faces = np.concatenate([mesh.faces, hat.faces + len(mesh.vertices)])
+    end = 300 if shared else len(mesh.faces)
+    parts = Part("body", 0, end), Part("hat", end, len(faces))
+    save_mesh(Mesh(vertices, faces, "hero", parts=parts), tmp_path / "hero.obj")
+    path = animate(tmp_path / "hero.obj", walk(faces=600), model).save_skinned(tmp_path / "moved.glb")
+    gltf = open_document(path).gltf
+    shown = [(node["name"], node["skin"]) for node in gltf["nodes"] if "mesh" in node]
+    assert shown == ([("hero", 0)] if shared else [("body", 0), ("hat", 0)])
+    assert [part.name for part in load_mesh(path).parts][-1] == ("hero" if shared else "hat")
+    if not shared:
+        np.testing.assert_allclose(load_mesh(path).vertices, vertices, atol=1e-5)
 
 
 def swinging(frames, fps, joints=6):
