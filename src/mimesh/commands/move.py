@@ -168,7 +168,8 @@ def animate(
     motion = dataclasses.replace(motion, skinned=as_joints)
     with progress(f"reading {identity.name}", output.silent):
         mesh, seconds = _timed(lambda: load_mesh(identity))
-    of_identity, moved = own_body_note(identity), []
+    swapped = "the character comes first, then what it follows"
+    of_identity, moved = tuple(f"{note}; {swapped}" for note in own_body_note(identity)), []
     for chosen, title in zip(clips, titles, strict=True):
         with_files, described = with_joint_files(hints, identity, chosen.path, joints, model)
         job = ClipJob(mesh, chosen, title, target, model, with_files, options, motion, taken, layout, shapes)
