@@ -141,10 +141,19 @@ def main_table(table: PageTable, rows: dict[Key, list[dict[str, Any]]]) -> str:
             row, baseline = by_method[method], by_method.get(table.baseline)
             failed = f", {row['failures']} failed" if row.get("failures") else ""
             cells = [f"{row['pairs']}{failed}", cell(row, "mm"), cell(row, "mm_median"), with_interval(row, "pmd_e4")]
-            better = wins(row, baseline) if baseline else "-"
-            lines.append([title, f"`{method}`", *cells, cell(row, "pmd_public_e4"), better, row["given"]])
+            beside = (wins(row, baseline), common_mean(baseline, row)) if baseline else ("-", "-")
+            lines.append([title, f"`{method}`", *cells, cell(row, "pmd_public_e4"), *beside, row["given"]])
     head = ["set", "method", "pairs", "mm: mean", "mm: median", "PMD", "public formula"]
-    return markdown_table([*head, f"better than `{table.baseline}`", "given"], lines) if lines else "Not measured."
+    head += [f"better than `{table.baseline}`", "its mean on these pairs", "given"]
+    return markdown_table(head, lines) if lines else "Not measured."
+
+
+def common_mean(row: dict[str, Any], *others: dict[str, Any]) -> str:
+    """Format the mean distance (mm) of a method on the pairs that others have figures of, too."""
+    assert all(other["each"]["pair"] == row["each"]["pair"] for other in others)
+    figures = np.array([of["each"]["mm"] for of in (row, *others)], float)  # None is NaN
+    mean = figures[0, np.isfinite(figures).all(axis=0)].mean()
+    return cell({"mm": float(mean)}, "mm")
 
 
 def rows_csv(reports: dict[str, dict[str, Any]]) -> str:
@@ -243,10 +252,14 @@ def rows_by_set(reports: dict[str, dict[str, Any]]) -> dict[Key, list[dict[str, 
 
 
 def readme_table(reports: dict[str, dict[str, Any]]) -> str:
-    """Format the README's table: the mean distance on characters of other makers, in frames of clips."""
+    """Format the README's table: the mean distance on characters of other makers, in frames of clips.
+
+    It is over the pairs that all of its methods have.
+    """
     found = {row["method"]: row for row in rows_by_set(reports).get(("characters", "clips"), [])}
+    shown = [found[method] for method in README_METHODS if method in found]
     lines = [
-        [label, f"{cell(found[method], 'mm')} mm" if method in found else "not measured"]
+        [label, f"{common_mean(found[method], *shown)} mm" if method in found else "not measured"]
         for method, label in README_METHODS.items()
     ]
     return markdown_table(["method", "people of other makers, in frames of motions, without rigs"], lines)
