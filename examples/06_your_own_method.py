@@ -78,7 +78,11 @@ def main(argv: list[str] | None = None) -> None:
         errors = {}
         for kind in protocol.kinds:
             pairs = (protocol.pair("test", kind, number) for number in range(options.pairs))
-            errors[kind] = np.mean([measure(pair, method)["pmd_e4"] for pair in pairs])
+            measured = [measure(pair, method) for pair in pairs]
+            failed = [found[why] for found in measured for why in ("failed", "why") if why in found]
+            if failed:  # a method may refuse pairs; its mean is then not comparable
+                raise SystemExit(f"{len(failed)} of {len(measured)} pairs of {kind} have no result: {failed[0]}")
+            errors[kind] = np.mean([found["pmd_e4"] for found in measured])
         name = method if isinstance(method, str) else method.name
         print(f"{name:10}" + "".join(f"{errors[kind]:10.2f}" for kind in protocol.kinds))
         table[name] = {kind: round(float(error), 4) for kind, error in errors.items()}

@@ -150,10 +150,12 @@ def main_table(table: PageTable, rows: dict[Key, list[dict[str, Any]]]) -> str:
 
 def common_mean(row: dict[str, Any], *others: dict[str, Any]) -> str:
     """Format the mean distance (mm) of a method on the pairs that others have figures of, too."""
+    if not all("mm" in of["each"] for of in (row, *others)):
+        return "-"
     assert all(other["each"]["pair"] == row["each"]["pair"] for other in others)
     figures = np.array([of["each"]["mm"] for of in (row, *others)], float)  # None is NaN
-    mean = figures[0, np.isfinite(figures).all(axis=0)].mean()
-    return cell({"mm": float(mean)}, "mm")
+    common = figures[0, np.isfinite(figures).all(axis=0)]
+    return cell({"pairs": len(common), "mm": round(float(common.mean()), 2)}, "mm")
 
 
 def rows_csv(reports: dict[str, dict[str, Any]]) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import time
+import zlib
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from types import MappingProxyType
@@ -97,9 +98,11 @@ def extra_inputs(method: str) -> str:
 
 
 def card_of(method: str) -> dict[str, Any]:
-    """Read the card next to a network's weights; empty without one."""
-    path = weights_path(method).with_suffix(".json")
-    return json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    """Read the card next to a network's weights; empty without one, or if it is that of other weights."""
+    weights = weights_path(method)
+    path = weights.with_suffix(".json")
+    card = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
+    return card if card.get("crc32") in (None, zlib.crc32(weights.read_bytes())) else {}
 
 
 def training_facts(method: str) -> dict[str, Any]:

@@ -25,6 +25,7 @@ from ..methods.find import (
     MODELS,
     NETWORK_OF_BODY,
     REDUCED_MODELS,
+    TABLE_MODELS,
     check_weights,
     find_model,
     is_table_model,
@@ -94,14 +95,18 @@ def evaluate_command(
     """
     chosen = find_protocol(protocol, data, measuring.height, measuring.fps)
     if split not in SPLITS:
-        raise InputError(f"{split}: expected a split ({', '.join(SPLITS)}), found another; check the name")
+        close = did_you_mean(split, SPLITS) or "; check the name"
+        raise InputError(f"{split}: expected a split ({', '.join(SPLITS)}), found another{close}")
     if not methods:
         raise InputError("--model: expected one model or more, with commas between, found none; name some")
+    methods = list(dict.fromkeys(methods))
     for method in methods:
         names = sorted({*EXTRA_INPUTS, *MODELS, *NETWORK_OF_BODY.values()} - {"deformation-transfer"})
         named = method in (*names, *REDUCED_MODELS, *INDEX_PAIRED.values()) or is_table_model(method)
         if not named and not (method.endswith(".onnx") and Path(method).is_file()):
-            close = did_you_mean(method, names) or "; check -m"
+            close = did_you_mean(method, [*names, *TABLE_MODELS]) or "; check -m"
+            if method.endswith(".safetensors"):
+                close = f"; mimesh export {method} -o NAME.onnx makes one"
             raise InputError(f"{method}: expected one of {', '.join(names)} or an .onnx file, found neither{close}")
         check_weights(method)
     chosen.check(split)
@@ -167,15 +172,17 @@ def report_before(out: Path, protocol: str, config: dict[str, Any]) -> dict[str,
     """
     if not out.exists():
         return {}
-    before: dict[str, Any] = {}
     try:
         before = json.loads(out.read_text())
-        same = (before["protocol"], before["provenance"]["config"]) == (protocol, json.loads(json.dumps(config)))
+        there = {"protocol": before["protocol"], **before["provenance"]["config"]}
     except (OSError, ValueError, KeyError, TypeError):
-        same = False
-    if not same:
+        before, there = {}, {}
+    here = {"protocol": protocol, **json.loads(json.dumps(config))}
+    if there != here:
+        names = [name for name in dict.fromkeys((*here, *there)) if here.get(name) != there.get(name)]
+        found = f"one of other {', '.join(names)}" if there else "another"
         raise InputError(
-            f"{out}: expected no file, or a report of the same test set and options, found another; choose another name"
+            f"{out}: expected no file, or a report of the same test set and options, found {found}; choose another name"
         )
     return before
 
@@ -310,7 +317,8 @@ def find_protocol(
         return read(data)
     if name not in WITHOUT_FOLDER:
         known = ", ".join((*WITHOUT_FOLDER, *FOLDERS))
-        raise InputError(f"{name}: expected a protocol ({known}) or the path of a list, found neither; check the name")
+        close = did_you_mean(name, (*WITHOUT_FOLDER, *FOLDERS)) or "; check the name"
+        raise InputError(f"{name}: expected a protocol ({known}) or the path of a list, found neither{close}")
     if data is not None:
         raise InputError(f"--data: expected none with {name}, which reads no folder, found {data}; leave it out")
     return WITHOUT_FOLDER[name]

@@ -158,7 +158,8 @@ def find_table(name: str, without: Sequence[str] = ()) -> Table:
     for method in without:
         if method not in methods:
             raise InputError(
-                f"--without {method}: expected a row of {name} ({', '.join(methods)}), found none; check the name"
+                f"--without {method}: expected a row of {name} ({', '.join(methods)}), found none"
+                + (did_you_mean(method, methods) or "; check the name")
             )
     rows = tuple(row for row in table.rows if row.method not in without)
     if not rows:

@@ -89,6 +89,7 @@ def run_to_end(run: TrainingRun, validation: Validation, folder: Path, log: Trai
                 falling = True
                 run.save(folder / FULL_RATE)
             log.add(run.advance())
+            stop.at_once = False
             if time.monotonic() - run.saved > SAVE_SECONDS:
                 run.save(last)
     log.flush()
@@ -277,12 +278,15 @@ class StopRequest:
 
     A signal is only recorded, so that the current step can be finished and saved; at the end of the block it becomes a
     KeyboardInterrupt. So does an exception after it: Ctrl-C interrupts the compiler of a first step, too, which fails.
-    A second one acts at once. Outside the main thread, which alone may handle signals, only the time limit counts.
+    Before the first step there is nothing to save, and reading data and the first batch take minutes: a signal acts at
+    once, as does a second one. Outside the main thread, which alone may handle signals, only the time limit counts.
     """
 
     def __init__(self, max_minutes: float | None) -> None:
         self.deadline = time.monotonic() + 60 * (float("inf") if max_minutes is None else max_minutes)
         self.signal: signal.Signals | None = None
+        self.at_once = True
+        """Whether no step has been taken yet."""
         self.handlers: dict[signal.Signals, Any] = {}
 
     def __call__(self) -> bool:
@@ -305,6 +309,8 @@ class StopRequest:
     def _record(self, number: int, _: object) -> None:
         self.signal = signal.Signals(number)
         self._restore()
+        if self.at_once:
+            raise KeyboardInterrupt
 
     def _restore(self) -> None:
         while self.handlers:

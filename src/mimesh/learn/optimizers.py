@@ -34,6 +34,8 @@ SIDE_OF_TILE = 8
 DTYPES = {"fp32": torch.float32, "bf16": torch.bfloat16}
 SIDE = {"cpu": 256, "cuda": 4096}
 """Rows and columns of the matrices whose products are timed: one takes at most 0.1 s on a slow device of each kind."""
+PRODUCTS = 20
+"""Least number of products that are timed: at most 2 s on a slow device."""
 COMPILE_OPTIONS: dict[str, Any] = {"triton.mix_order_reduction": False}
 """Of torch.compile: the fusion of sums along two axes in attention across frames fails with an assertion (2.11)."""
 MIN_GAIN = {"": 1.25, "fp32": 1.6, "bf16": 0.9}
@@ -137,12 +139,16 @@ def choose_precision(asked: str, device: torch.device, before: str = "") -> tupl
 
 @functools.cache
 def product_rate(dtype: torch.dtype, device: torch.device, seconds: float = 0.05) -> float:
-    """Measure floating-point operations a second of products of square matrices: the best within a moment."""
+    """Measure floating-point operations a second of products of square matrices: the best of PRODUCTS and of a moment.
+
+    Single ones take a hundred times as long where other programs are busy.
+    """
     side = SIDE[device.type]
     a, b = torch.randn(2, side, side, generator=torch.Generator().manual_seed(0)).to(device, dtype)
     float((a @ b)[0, 0])  # the first product also loads the library, on a GPU for longer than the others take
-    best, end = float("inf"), time.perf_counter() + seconds
-    while best == float("inf") or time.perf_counter() < end:
+    best, count, end = float("inf"), 0, time.perf_counter() + seconds
+    while count < PRODUCTS or time.perf_counter() < end:
+        count += 1
         started = time.perf_counter()
         float((a @ b)[0, 0])  # waits for the device
         best = min(best, time.perf_counter() - started)

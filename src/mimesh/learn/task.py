@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 from abc import ABC, abstractmethod
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
@@ -108,6 +109,10 @@ class TrainConfig:
     def check(self, where: str) -> None:
         """Raise InputError for values that do not go together; `where` begins the message."""
         self.data.check(where)
+        for name, (least, most) in RANGES.items():
+            if not least <= getattr(self, name) <= most:
+                allowed = f"{least:g} or more" if most == math.inf else f"{least:g} to {most:g}"
+                raise InputError(f"{where}: expected {name} of {allowed}, found {getattr(self, name):g}; change it")
         if self.weight_decay and self.optimizer != "muon":
             raise InputError(f"{where}: expected weight_decay 0 with optimizer {self.optimizer}, found another")
         if self.accumulate < 1 or self.batch % self.accumulate:
@@ -116,6 +121,12 @@ class TrainConfig:
             )
 
 
+RANGES = {
+    **dict.fromkeys(("batch", "pairs", "validate_every", "validation_pairs"), (1, math.inf)),
+    **dict.fromkeys(("minutes", "learning_rate", "warmup", "weight_decay", "clip"), (0, math.inf)),
+    **dict.fromkeys(("decay", "beta2", "ema"), (0, 1)),
+}
+"""Option of a training -> its least and its largest value."""
 UserData = Any
 """What the user brings to a training: `characters.TrainingCharacters` or `registered.RegisteredMeshes`."""
 BatchSource = Any
