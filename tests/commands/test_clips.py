@@ -128,6 +128,8 @@ def test_engine_names_root_bone_rest_and_rate(files, call):
     text = animate(files, call, "walk.glb", "-o", "k.glb", "--no-preview", "--step", "2", "--output-fps", "5").out
     assert ", 2 frames at 5 per second, " in text, "the rate of the frames that are taken: nothing is sampled"
     assert "sampled from" not in text
+    text = animate(files, call, "walk.glb", "-o", "l.glb", "--no-preview", "--stop", "3", "--output-fps", "24").out
+    assert "note: sampled from 3 frames at 10 per second: its last 0.033 s, less than a frame, are left out\n" in text
 
 
 @pytest.mark.slow

@@ -5,9 +5,11 @@ from __future__ import annotations
 import logging
 import os
 import re
+import shutil
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import pytest
 from matrix import matrix
@@ -182,6 +184,14 @@ def test_threads_of_loaded_libraries_are_set_back(files, call, monkeypatch):
 def test_look_names_the_axes_to_render_with(files, call, monkeypatch, stands, axes):
     monkeypatch.setattr("mimesh.tools.inspect._stands", lambda mesh: stands)
     assert call("look hero.obj").out.splitlines()[-1] == f"next: mimesh render hero.obj -o sheet.png{axes}"
+
+
+def test_pictures_of_files_of_one_name_have_the_names_of_their_folders(files, call):
+    for folder in ("knight", "mage"):
+        Path("out", folder).mkdir(parents=True)
+        shutil.copy("hero.obj", Path("out", folder, "run.obj"))
+    printed = call("render out/knight/run.obj out/mage/run.obj hero.obj --sheet -o sheet.png").out
+    assert "knight/run.obj, mage/run.obj, hero.obj" in printed.replace("\\", "/")
 
 
 def test_progress_is_told_in_lines_where_there_is_no_terminal(capsys, monkeypatch):

@@ -262,6 +262,19 @@ def test_a_cycle_closes():
     assert np.linalg.norm(seam, axis=-1)[-2:].max() <= 1.05 * np.linalg.norm(seam, axis=-1)[:-2].max()
 
 
+def test_captured_cycles_end_about_as_they_begin():
+    """The hands of one who walks are somewhere else after a cycle."""
+    found = case(walk(1.0))
+    leg, last = found.feet.driving_leg, found.track.positions.copy()
+    last[-1, BODY.joint("LeftHand")] += [0.03 * leg, 0.03 * leg, 0.0]
+    track = dataclasses.replace(found.track, positions=last)
+    assert is_cyclic(track, leg)
+    corrected = dataclasses.replace(found, track=track).planted()
+    assert np.abs(corrected.rotation[-1] - corrected.rotation[0]).max() < 1e-5
+    last[-1, BODY.joint("LeftHand")] += 0.1 * leg
+    assert not is_cyclic(dataclasses.replace(found.track, positions=last), leg)
+
+
 def test_a_cycle_in_place_does_not_drift():
     motion = walk(1.0)
     ramp = -np.linspace(0, 1, len(motion.root))[:, None] * (motion.root[-1] - motion.root[0])

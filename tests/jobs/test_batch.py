@@ -361,6 +361,7 @@ def test_a_pattern_of_the_identity_alone_makes_one_file_of_all_clips(tmp_path, m
     row = {"identity": "ids/a.glb", "driving": clips, "output": "out/a.glb", "model": "mime.onnx"}
     result = mimesh.batch([row], workers=1)
     assert (result.counts["done"], result.outcomes[0]["frames"]) == (1, 8), result.outcomes
+    assert [result.outcomes[0][name] for name in ("identity", "output")] == ["ids/a.glb", "out/a.glb"]
     assert [len(load_clip("out/a.glb", animation=name)) for name in ("run", "walk")] == [5, 3]
     assert summary_rows()[0]["driving"] == "clips/run.npz | clips/walk.npz"
 

@@ -98,4 +98,9 @@ def test_names_of_a_file_that_two_clips_share(model, driving, tmp_path):
     assert run([str(word) for word in words]) == 0
     gltf = open_document(tmp_path / "out.glb").gltf
     assert [animation["name"] for animation in gltf["animations"]] == ["move", "b"]
+    again = [tmp_path / "out.glb" if word == identity else tmp_path / "2.glb" if word == tmp_path / "out.glb" else word
+             for word in words[:-1]]  # fmt: skip
+    assert run([str(word) for word in again]) == 0
+    twice = [animation["name"] for animation in open_document(tmp_path / "2.glb").gltf["animations"]]
+    assert twice == ["move-2", "b-2", "move", "b"]
     assert gltf["nodes"][-1]["name"] == "Root"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..core.options import FrameRange, Hints, Layout, ModelOptions, MotionOptions
-from ..core.printable import say
+from ..core.printable import listed, say
 from .options import LOGGER, ClipOptions, JointOptions, OutputOptions, ShapeOptions, Without, with_options
 from .terminal import (
     Model,
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
     from ..tools.convert import DrivingClip
 
 MOST_NAMED = 6
-"""Corrected joints up to which their names are printed."""
+"""Corrected joints up to which their names are printed, and clips that a note names."""
 SHOWN_CLIPS = 3
 """Clips of one output, the first ones, that get a picture and a page: these take a second of a core each, and were 60 %
 of the time of a file of 15 clips of bones."""
@@ -148,6 +148,7 @@ def animate(
     """
     from ..io import check_writable, load_mesh
     from ..io.atomic import together
+    from ..pipeline.skinned import free_names
     from ..tools.convert import choose_clips, own_body_note
 
     _refuse_motion(identity, output.output)
@@ -176,11 +177,12 @@ def animate(
         result, notes = job.run(output.silent)
         moved.append((result, of_identity + notes, described))
     results = [result for result, _, _ in moved]
+    names = free_names(results, [clip.name for clip in clips])
+    clips = [dataclasses.replace(clip, name=name) for clip, name in zip(clips, names, strict=True)]
     results[0].seconds["load"] += seconds
     replaced = target.exists()
     with together():
         with progress("writing", output.silent) as advance:
-            names = [clip.name for clip in clips]
             saved = save_clips(results, target, names, as_joints, layout, advance)
         for result, chosen in zip(results, clips, strict=True):
             save_joint_files(result, identity, chosen.path, joints, taken.start)
@@ -433,7 +435,7 @@ def joined_facts(facts: Sequence[dict[str, Any]], driving: Sequence[DrivingClip]
     rates = {one["fps"] for one in facts}
     reports = [one["report"] for one in facts]
     report = {
-        "notes": list(dict.fromkeys(note for report in reports for note in report["notes"])),
+        "notes": list(_notes_of_clips(clips)),
         "pictures": [path for report in reports for path in report["pictures"]],
         "page": reports[0]["page"],
     }
@@ -445,6 +447,13 @@ def joined_facts(facts: Sequence[dict[str, Any]], driving: Sequence[DrivingClip]
         "report": report,
         "clips": clips,
     }
+
+
+def _notes_of_clips(clips: Sequence[dict[str, Any]]) -> Iterator[str]:
+    """Yield the notes on several clips, each with the names of those that it is about if it is not about all."""
+    for note in dict.fromkeys(note for clip in clips for note in clip["report"]["notes"]):
+        about = [clip["name"] for clip in clips if note in clip["report"]["notes"]]
+        yield note if len(about) == len(clips) else f"{listed(about, MOST_NAMED)}: {note}"
 
 
 def print_facts(facts: dict[str, Any], output: OutputOptions) -> dict[str, Any]:
@@ -473,8 +482,7 @@ def _print_summary(facts: dict[str, Any]) -> None:
     for line in dict.fromkeys(line for report in reports for line in report.get("joints", ())):
         say(f"joints: {line}")
     for note in facts["report"]["notes"]:
-        about = [clip["name"] for clip in clips if note in clip["report"]["notes"]]
-        say(f"note: {note}" if len(about) == len(clips) else f"note: {', '.join(about)}: {note}")
+        say(f"note: {note}")
     for report in reports:
         for path in report["pictures"]:
             say(f"picture: {path}")

@@ -74,6 +74,8 @@ def render(
     with terminal.progress("reading", printed.silent):
         clips = _cut(files, terminal.single("--animation", taken.animation), taken)
     names = [path.name for path in files]
+    if len(set(names)) < len(names):  # out/knight/run.glb and out/mage/run.glb
+        names = [str(Path(*path.parts[-2:])) for path in files]
     with terminal.progress("frames", printed.silent) as advance:
         kind = draw(options, names, clips, output, taken, advance)
     if printed.json:

@@ -75,8 +75,8 @@ class BatchResult:
 
     jobs: Sequence[BatchJob]
     outcomes: Sequence[dict[str, Any]]
-    """For each job its state (one of STATES) and, as far as they are known, seconds, frames, vertices, confidence (the
-    lower one of identity and driving), notes, error."""
+    """For each job identity, driving, output, its state (one of STATES) and, as far as they are known, seconds, frames,
+    vertices, confidence (the lower one of identity and driving), notes, error."""
     seconds: float
     """Wall time of the whole batch."""
     workers: int
@@ -200,7 +200,9 @@ def batch(
     count = min(workers, sum(outcome["state"] == NOT_RUN for outcome in outcomes))
 
     def saved() -> BatchResult:
-        result = BatchResult(jobs, outcomes, time.perf_counter() - begin, count, files)
+        files_of = [{"identity": job.identity, "driving": job.driving, "output": job.output} for job in jobs]
+        told = [{**names, **outcome} for names, outcome in zip(files_of, outcomes, strict=True)]
+        result = BatchResult(jobs, told, time.perf_counter() - begin, count, files)
         result.save()
         return result
 

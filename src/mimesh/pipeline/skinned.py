@@ -21,6 +21,7 @@ from ..core.options import Layout, needs_joints
 from ..core.printable import file_name, numbered
 from ..core.rig import Rig, descendants
 from ..io import joints_file
+from ..io.gltf.animation import animation_names
 from ..io.gltf.own_animation import laid_out, write_own_animations
 from ..io.gltf.skinned import write_gltf_skinned
 from .report import Deviations, SavedClip, saved_clip
@@ -77,7 +78,7 @@ def save_skinned(
         save_bone_motions(results, Path(path), distinct_names(found), layout)
         return saved_clip(path, *(Deviations() for _ in results))
     save = _save_on_own_rig if own else _save_on_found_rig
-    return saved_clip(path, *save(results, Path(path), distinct_names(found), layout))
+    return saved_clip(path, *save(results, Path(path), free_names(results, found), layout))
 
 
 def _save_on_found_rig(
@@ -182,6 +183,13 @@ def _own_deviation(result: ClipResult) -> float:
     pairs = zip(own.vertices(chosen), result.frames.at(chosen), strict=True)
     distance = max(np.linalg.norm(posed - vertices, axis=1).max() for posed, vertices in pairs)
     return float(distance / np.ptp(own.source.vertices, axis=0).max())
+
+
+def free_names(results: Sequence[ClipResult], names: Sequence[str]) -> list[str]:
+    """Number names that were there before, or are those of animations of the identity's own file."""
+    own = results[0].own
+    taken = () if own is None else animation_names(own.source.document)
+    return distinct_names([*taken, *names])[len(taken) :]
 
 
 def distinct_names(names: Sequence[str]) -> list[str]:

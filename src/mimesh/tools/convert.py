@@ -20,7 +20,7 @@ from ..core.options import ConvertOptions
 from ..io.beside import missing_images, missing_images_notes
 from ..io.formats import CACHE, FORMATS, FRAMES_ONLY, JOINTED, MESH_WRITERS, MORPHED, MOTIONS
 from ..io.polygons import smooth_normals
-from ..io.timing import DEFAULT_FPS
+from ..io.timing import DEFAULT_FPS, ON_GRID, frame_count
 
 if TYPE_CHECKING:
     from ..io.gltf.own_animation import OwnAnimation
@@ -505,7 +505,12 @@ def taken_rate_note(clip: Clip, path: Path) -> tuple[str, ...]:
 
 def resampled_note(frames: int, fps: float, output_fps: float | None) -> tuple[str, ...]:
     """Return a note that a file has another frame rate than the frames that are written; None keeps theirs."""
-    return () if output_fps in (None, fps) else (f"sampled from {frames_at(frames, fps)}",)
+    if output_fps is None or output_fps == fps:
+        return ()
+    seconds = (frames - 1) / fps
+    lost = seconds - (frame_count(seconds, output_fps) - 1) / output_fps
+    cut = f": its last {lost:.2g} s, less than a frame, are left out" * (lost * output_fps > ON_GRID)
+    return (f"sampled from {frames_at(frames, fps)}{cut}",)
 
 
 def frames_at(frames: int, fps: float) -> str:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -114,6 +116,10 @@ def read_file_rig(mesh: Mesh) -> FileRig:
     return own
 
 
+_POSES: WeakKeyDictionary[Document, dict[Any, np.ndarray]] = WeakKeyDictionary()
+"""Poses in the animations of open files. They take longer to sample than all else of a rig, which each clip reads."""
+
+
 def read_own_rig(mesh: Mesh, find: FindJoints | None = None, body: str = "human") -> OwnRig:
     """Read the rig of a mesh that comes from a glTF file.
 
@@ -137,7 +143,10 @@ def read_own_rig(mesh: Mesh, find: FindJoints | None = None, body: str = "human"
 
     def poses() -> np.ndarray:
         rest = standing.scene.T_world_node[nodes]
-        return sampled_poses(read_clips(document, rest, nodes, rig.parents), rig, np.eye(3))
+        known, key = _POSES.setdefault(document, {}), (rest.tobytes(), tuple(nodes))
+        if key not in known:
+            known[key] = sampled_poses(read_clips(document, rest, nodes, rig.parents), rig, np.eye(3))
+        return known[key]
 
     if of_animal:
         humanoid, order = animal_rig(rig, turn, path)
