@@ -21,6 +21,7 @@ from mimesh.core.foot_planting import (
     foot_skate,
     is_cyclic,
     keep_above_floor,
+    level_soles,
     move_ankle,
     plant_feet,
 )
@@ -37,6 +38,7 @@ BODY = load_body()
 LEGS = tuple(tuple(BODY.joint(f"{side}{name}") for name in ("UpLeg", "Leg", "Foot")) for side in ("Left", "Right"))
 PERIOD = 30
 """Frames of a cycle of the walk."""
+UP = np.array([0.0, 1.0, 0.0])
 STRIDE = 24.0
 """Degrees of the hip."""
 
@@ -193,6 +195,24 @@ def test_planted_soles_of_other_proportions_do_not_slide_more_than_the_driving_o
     (before, driving), (after, _) = found.skate(raw), found.skate(planted_motion)
     assert after < 1.2 * driving
     assert noise or before > 1.5 * driving
+
+
+def test_standing_soles_of_skeletons_without_a_mesh_are_level():
+    """Those of a foot that tilts are up to 3 % of a leg above the floor; in the air they stay."""
+    found = walking()
+    leg, floor = found.feet.driving_leg, -0.01
+    tilted = found.track.soles + 0.03 * leg * np.sin(np.arange(len(found.track.soles)))[:, None, None, None] ** 2 * UP
+    track = dataclasses.replace(found.track, soles=tilted)
+    levelled = level_soles(track, leg, 0, lambda lowest: floor)
+    contacts = find_contacts(track, leg)
+    assert contacts is not None
+    stands = contacts.standing.max(axis=2) > 0.99
+    assert stands.any(axis=0).all()
+    np.testing.assert_allclose(levelled.soles[1:][stands][..., 1].min(axis=1), floor, atol=1e-3)
+    air = np.pad(contacts.standing.max(axis=2) < 0.5, ((1, 1), (0, 0)), constant_values=True)
+    air = air[1:] & air[:-1]
+    assert air.any(axis=0).all()
+    np.testing.assert_array_equal(levelled.soles[air], track.soles[air])
 
 
 def test_soles_do_not_sink_or_float_or_jump():

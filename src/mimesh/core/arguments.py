@@ -19,6 +19,8 @@ from .errors import InputError
 from .threads import one_thread
 
 F = TypeVar("F", bound=Callable[..., Any])
+LOWEST_FPS, HIGHEST_FPS = 1e-3, 1e4
+"""Frames a second; other rates are mistakes, and lead to as many frames, or none."""
 
 
 def public(function: F) -> F:
@@ -59,6 +61,13 @@ def check_kind(name: str, value: object, annotation: str) -> None:
     *others, last = words
     expected = f"{', '.join(others)} or {last}" if others else last
     raise InputError(f"{name}: expected {expected}, found {described(value)}; {_advice(value, allowed)}")
+
+
+def check_rate(fps: float, where: object, advice: str) -> None:
+    """Raise InputError for a frame rate that is none."""
+    if not LOWEST_FPS <= fps <= HIGHEST_FPS:
+        expected = f"a frame rate from {LOWEST_FPS:g} to {HIGHEST_FPS:,.0f}"
+        raise InputError(f"{where}: expected {expected}, found {fps:g}; {advice}")
 
 
 def described(value: object) -> str:

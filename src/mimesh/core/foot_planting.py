@@ -317,6 +317,26 @@ def plant_feet(
     return PosedJoints(rotation, posed.root + root - lowered)
 
 
+def level_soles(track: JointTrack, leg: float, hands: int, floor: Callable[[float], float]) -> JointTrack:
+    """Put the soles of a motion on its floor where they stand; those that never do stay as they are.
+
+    For skeletons without a mesh. The shipped body plays them: its feet are as high as theirs, but not as long, and tilt
+    through the floor or over it where theirs stand.
+
+    Args:
+        track: the motion, with contact points.
+        leg, hands: see `find_contacts`.
+        floor: see `plant_feet`.
+    """
+    contacts = find_contacts(track, leg, hands)
+    if contacts is None or track.soles is None:
+        return track
+    standing = np.maximum(2 * contacts.standing.max(axis=2) - 1, 0)  # what comes down is left in the air
+    stands = np.maximum(np.pad(standing, ((1, 0), (0, 0))), np.pad(standing, ((0, 1), (0, 0))))
+    rise = stands * (floor(contacts.height) - track.soles[..., 1].min(axis=2))
+    return replace(track, soles=track.soles + rise[..., None, None] * UPWARD)
+
+
 def keep_above_floor(
     posed: PosedJoints,
     track: JointTrack,

@@ -15,12 +15,11 @@ from typing import Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int
 
-from .arguments import as_faces, as_floats, as_frames, as_vertices, check_kind
+from .arguments import as_faces, as_floats, as_frames, as_vertices, check_kind, check_rate
 from .budgets import FACES, VERTICES, check_clip_size
 from .errors import InputError, damaged, option
 from .frame_buffer import Frames, PosedFrames, Progress, each_frame, store_frames
 from .geometry import face_areas, first_of_each, normal_turner
-from .options import check_rate
 from .person_motion import JointSource
 
 UNNAMED = "mesh"

@@ -150,7 +150,7 @@ def parse_axis(axis: str | None, option: str) -> str | None:
     """
     if axis is None:
         return None
-    name = str(axis).strip().lower()
+    name = axis.strip().lower()
     name = name if name.startswith(("+", "-")) else f"+{name}"
     if name not in AXES:
         raise InputError(f"{option}: expected one of {' '.join(AXES)}, found {axis!r}; give an axis of the file")

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from .mesh import Mesh
 
 T = TypeVar("T")
-LOWEST_FPS, HIGHEST_FPS = 1e-3, 1e4
-"""Frames a second; other rates are mistakes, and lead to as many frames, or none."""
 LONGEST_SMOOTHING = 10.0
 """Seconds."""
 AXES = ("up", "front", "driving_up", "driving_front")
@@ -256,13 +254,6 @@ class MotionOptions:
                 raise needs_joints(field.name, model)
 
 
-def check_rate(fps: float, where: str | Path, advice: str) -> None:
-    """Raise InputError for a frame rate that is none."""
-    if not LOWEST_FPS <= fps <= HIGHEST_FPS:
-        expected = f"a frame rate from {LOWEST_FPS:g} to {HIGHEST_FPS:,.0f}"
-        raise InputError(f"{where}: expected {expected}, found {fps:g}; {advice}")
-
-
 def check_influences(count: int) -> None:
     """Raise InputError for another number of weights a vertex than files of joints may have."""
     if count not in (4, 8):
@@ -345,6 +336,8 @@ class Layout:
     def __post_init__(self) -> None:
         """Raise InputError if a rate is not allowed."""
         if self.fps is not None:
+            from .arguments import check_rate
+
             check_rate(self.fps, option("output_fps"), "give for example 30")
 
 

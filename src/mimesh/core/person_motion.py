@@ -34,6 +34,8 @@ class PersonMotion:
     """Rotation that turns the person at rest to y up, +z front; None: not known."""
     heading: float = 0.0
     """Angle of the front at rest from `front` (radians about `up`), where that is between the axes."""
+    played: bool = False
+    """Whether the file has joints alone, which the shipped body plays."""
 
     def cut(self, frames: slice) -> PersonMotion:
         """Select frames."""

@@ -13,11 +13,10 @@ from pathlib import Path
 import numpy as np
 from jaxtyping import Float
 
-from ..core.arguments import public
+from ..core.arguments import check_rate, public
 from ..core.errors import InputError, option
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, Mesh, check_clip, check_mesh, cut_clip, stored_clip
-from ..core.options import check_rate
 from ..core.system import refuse_pipe
 from .atomic import writing
 from .formats import ANIMATED, BODY_MODELS, CLIP_READERS, JOINTED, MESH_READERS, MOTIONS, PICTURES, found_suffix

@@ -18,12 +18,12 @@ from ..bodies.anatomy import anatomy_of_joints
 from ..bodies.joint_names import other_side
 from ..bodies.sampling import rotvec_to_rotmat
 from ..core.animated_rig import frames_around
+from ..core.arguments import check_rate
 from ..core.budgets import FRAMES, LARGEST_PRINTED
 from ..core.errors import InputError
 from ..core.frame_buffer import store_frames
 from ..core.geometry import MIRROR, mirrored_rotations, slerp
 from ..core.mesh import Clip, check_cut
-from ..core.options import check_rate
 
 _SIDE_BONES = {"UpLeg": "Leg", "Leg": "Foot", "Arm": "ForeArm", "ForeArm": "Hand"}
 BONES = {f"{side}{bone}": f"{side}{tail}" for side in ("Left", "Right") for bone, tail in _SIDE_BONES.items()}

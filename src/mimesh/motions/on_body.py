@@ -135,9 +135,9 @@ def played(motion: Motion, front: str | None = None) -> Clip:
     """
     body = _body_of(len(motion.joint_names))
     leg = leg_length(body.joints, body.joint_names)
-    joints = PersonMotion(
-        motion.joint_names, *joint_tracks(body, motion), leg, body.weights, rest_vertices=body.vertices, front=front
-    )
+    tracks = joint_tracks(body, motion)
+    at_rest = {"rest_vertices": body.vertices, "front": front}
+    joints = PersonMotion(motion.joint_names, *tracks, leg, body.weights, **at_rest, played=True)
     skinned = SkinnedMesh.of(body.vertices, _at_rest(body), body.parents)
     vertices: Any = PosedFrames(skinned, joints.rotation, joints.positions[:, 0])
     mesh = dataclasses.replace(body.mesh(np.asarray(vertices[0], np.float64)), name=motion.name, up="+y")

@@ -104,7 +104,7 @@ class JointRoute(placed.Placed):
                         f"{clip.mesh.name} does not move its hips from their place: the lowest sole stands on the "
                         f"floor in every frame; {option('ground', False)} leaves the hips at one height",
                     )
-                track = standing
+                track = retarget.levelled(standing)
             across = self.norms[1].radius / self.norms[0].radius if options.root == "keep" else None
             posed = retarget.posed_joints(track, across, options.root == "drop", options.ground, options.contacts)
             route = dataclasses.replace(self, retarget=retarget)

@@ -26,6 +26,7 @@ from ..core.foot_planting import (
     height_of_soles,
     is_cyclic,
     keep_above_floor,
+    level_soles,
     plant_feet,
     resting_lift,
     standing_track,
@@ -92,6 +93,8 @@ class JointMotion:
     """The surface, or points of it, in some pose, and the joints in it but fingers; None where the file has none."""
     confidence: Confidence | None = None
     """How certainly the joints were found; None: they are those of a file."""
+    played: bool = False
+    """See `PersonMotion`."""
 
     @classmethod
     def of_file(cls, motion: PersonMotion, mesh: Mesh, fps: float, norm: Normalization) -> JointMotion:
@@ -127,7 +130,8 @@ class JointMotion:
                 rig = Rig(norm.rotation @ turned, norm.apply(places), motion.weights)
             skin = mesh, rig
         leg = motion.leg / norm.radius
-        return cls(motion.joints, None, leg, vertices, soles, ankles, track, body, rest, floor, skin)
+        facts = track, body, rest, floor, skin
+        return cls(motion.joints, None, leg, vertices, soles, ankles, *facts, played=motion.played)
 
     @property
     def grid(self) -> BodyGrid | None:
@@ -295,6 +299,12 @@ class Retarget:
         motion = self.motion if known is None else replace(self.motion, track=known.at(chosen, fps))
         track = motion.over(Clip(clip.mesh, clip.vertices[chosen], fps), norm, self.driving_soles)
         return self.lift(self.posed_joints(track, None, False, False, False), track)
+
+    def levelled(self, track: JointTrack) -> JointTrack:
+        """Put the standing soles of a skeleton without a mesh on its floor; others stay as they are."""
+        if self.feet is None or not self.motion.played:
+            return track
+        return level_soles(track, self.motion.leg, self.feet.hands, self.motion.floor)
 
     def standing(self, track: JointTrack) -> JointTrack:
         """Put the lowest sole of a driving without a path on the floor in every frame; others stay as they are."""

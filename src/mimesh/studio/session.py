@@ -122,7 +122,8 @@ class Session:
         unknown = changes.keys() - {"up", "front", "part", "animation", "fps"}
         if unknown:
             raise InputError(f"{min(unknown)}: expected up, front, part, animation or fps, found it; leave it out")
-        up, front = (parse_axis(changes.get(axis, getattr(item, axis)) or None, axis) for axis in ("up", "front"))
+        axes = ((axis, changes.get(axis, getattr(item, axis))) for axis in ("up", "front"))
+        up, front = (parse_axis(str(value) if value else None, axis) for axis, value in axes)
         if up and front and up[1] == front[1]:
             raise InputError(f"{item.name}: expected up and front on two axes, found {up} and {front}; change one")
         part = changes.get("part", item.part) or None

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from ..core.arguments import check_rate
 from ..core.errors import InputError, option
 from ..core.frame_buffer import PAGED, Progress, counted, release_pages
 from ..core.geometry import normal_turner
 from ..core.mesh import Clip, Mesh
 from ..core.normalization import Normalization
-from ..core.options import check_rate
 from ..io import check_writable, save_clip
 from ..io.atomic import whole_file, writing
 from .camera import Camera, extreme_points, fit, follow, orbit

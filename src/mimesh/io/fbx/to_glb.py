@@ -27,9 +27,9 @@ import numpy as np
 import ufbx
 from jaxtyping import Float, Int
 
+from ...core.arguments import HIGHEST_FPS
 from ...core.errors import InputError, damaged
 from ...core.geometry import continuous_quaternions
-from ...core.options import HIGHEST_FPS
 from ..beside import is_there
 from ..gltf.animation import AnimationChannel, add_animation
 from ..gltf.check import ARRAY_BUFFER
