@@ -24,6 +24,7 @@ from PIL import Image
 from mimesh.core.geometry import face_vectors
 from mimesh.core.mesh import Material, Part
 from mimesh.io import load_mesh, save_mesh
+from mimesh.pipeline.parts import named_parts
 
 FILES = {"nasty": NASTY_OBJ, "cube": CUBE_SHARED_NORMALS, "sheets": SHEETS_SHARED_NORMALS}
 
@@ -154,6 +155,16 @@ def painted(tmp_path):
     (tmp_path / "outside.png").write_bytes((folder / "maps" / "red wall.png").read_bytes())
     (folder / "house.obj").write_bytes(NASTY_OBJ)
     return folder / "house.obj"
+
+
+def test_groups_know_the_object_that_they_are_in(tmp_path):
+    path = tmp_path / "a.obj"
+    points = "v 0 0 0\nv 1 0 0\nv 0 1 0\n"
+    path.write_text(f"{points}f 1 2 3\no hero\nf 1 2 3\ng legs\nf 1 2 3\ng arms\nf 1 2 3\n{points}o crate\nf 4 5 6\n")
+    mesh = load_mesh(path)
+    found = [(part.name, part.object) for part in mesh.parts]
+    assert found == [("", ""), ("hero", "hero"), ("legs", "hero"), ("arms", "hero"), ("crate", "crate")]
+    assert named_parts(mesh)["hero"].tolist() == [False, True, True, True, False]
 
 
 def test_materials_are_read_from_the_library(painted):

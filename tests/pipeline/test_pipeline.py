@@ -117,7 +117,8 @@ def test_arrays_with_nan_are_refused():
 
 def test_uncertain_facing_is_noted_and_a_given_one_is_not():
     unsure = transfer(cube(), cube(), "copy", hints=Hints(front=None))
-    advice = [f" give {name}=... if it faces elsewhere" for name in ("front", "driving_front")]
+    axes = (("up", "front"), ("driving_up", "driving_front"))
+    advice = [f" give {up}=... and {front}=... if it faces elsewhere" for up, front in axes]
     assert [note.split(";")[1] for note in unsure.notes] == advice
     sure = transfer(cube(), cube(), "copy", hints=Hints(up="y", front="z", driving_up="y", driving_front="z"))
     assert sure.notes == ()

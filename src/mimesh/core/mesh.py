@@ -64,6 +64,13 @@ class Part:
     start: int
     stop: int
     material: Material | None = None
+    above: str = ""
+    """Object that a group of an OBJ file is in."""
+
+    @property
+    def object(self) -> str:
+        """Name of the object that the part is, or is in."""
+        return self.above or self.name
 
 
 @dataclass(frozen=True, eq=False)

@@ -352,22 +352,23 @@ def _vertex_colors(source: ObjSource, path: Path) -> Float[np.ndarray, "V 4"] | 
 
 def _read_parts(source: ObjSource, polygon: Int[np.ndarray, " F"], path: Path) -> tuple[Part, ...]:
     """Return the runs of triangles under one group and material; none where the file has a single unnamed run."""
-    runs: list[tuple[int, str, str]] = [(0, "", "")]  # first polygon, name, material
+    runs: list[tuple[int, str, str, str]] = [(0, "", "", "")]  # first polygon, name, material, object
     for number, first_face in zip(
         source.state_lines, np.searchsorted(source.face_lines, source.state_lines).tolist(), strict=True
     ):
         keyword, *arguments = decoded(source.lines[number].strip()).split(None, 1)
-        _, name, material = runs[-1]
+        _, name, material, above = runs[-1]
         value = arguments[0] if arguments else ""
-        run = (first_face, name, value) if keyword == "usemtl" else (first_face, value, material)
+        run = (first_face, name, value, above) if keyword == "usemtl" else (first_face, value, material, above)
+        run = (*run[:3], value) if keyword == "o" else run
         if run[1:] != runs[-1][1:]:
             # Two statements without a face between them begin one run.
             runs = [*runs[:-1], run] if runs[-1][0] == first_face else [*runs, run]
     starts = np.searchsorted(polygon, [run[0] for run in runs]).tolist()
     stops = [*starts[1:], len(polygon)]
     parts = [
-        Part(name, start, stop, source.materials.get(material, Material(material)) if material else None)
-        for (_, name, material), start, stop in zip(runs, starts, stops, strict=True)
+        Part(name, start, stop, source.materials.get(material, Material(material)) if material else None, above)
+        for (_, name, material, above), start, stop in zip(runs, starts, stops, strict=True)
         if start < stop
     ]
     return () if parts == [Part("", 0, len(polygon))] else tuple(parts)

@@ -228,7 +228,7 @@ def _shoes(
 
 def named_parts(mesh: Mesh) -> dict[str, Bool[np.ndarray, " P"]]:
     """Return the parts of a mesh by each name that finds them: characters, parts, and nodes above these."""
-    above = [(part.name,) for part in mesh.parts]
+    above = [(part.name, *filter(None, [part.above])) for part in mesh.parts]
     people: dict[str, np.ndarray] = {}
     if _gltf_source(mesh) is not None:
         from ..io.gltf.parts import characters, names_above

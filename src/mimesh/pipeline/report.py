@@ -316,5 +316,5 @@ def facing_note(norm: Normalization, name: str, front: str) -> tuple[str, ...]:
         return notes
     return notes + (
         f"the facing of {name} is uncertain (taken: up {norm.up}, front {norm.front}); "
-        f"give {option(front, ...)} if it faces elsewhere",
+        f"give {option(front.replace('front', 'up'), ...)} and {option(front, ...)} if it faces elsewhere",
     )

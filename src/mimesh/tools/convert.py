@@ -457,7 +457,8 @@ def _metres_note(mesh: Mesh, path: Path, animal: bool) -> tuple[str, ...]:
     suffix, own = path.suffix.lower(), getattr(mesh.source, "suffix", "")
     if suffix not in JOINTED or hasattr(mesh.source, "meters_per_unit") or (own in JOINTED and suffix != ".vrm"):
         return ()
-    longest = float(np.ptp(mesh.vertices, axis=0).max())
+    sides = np.ptp(mesh.vertices, axis=0)  # of a person who stands the height: floors are wider
+    longest = float(sides.max() if animal or mesh.up is None else sides["xyz".index(mesh.up[-1])])
     unit = unit_guess(longest) if not animal else next((u for u, sizes in ANIMAL.items() if longest < sizes), None)
     if unit in (None, "m"):
         return ()

@@ -364,7 +364,7 @@ def build_document(mesh: Mesh, moved: Mesh, skinned: bool = False) -> tuple[Draf
         if len(indices):
             primitive["indices"] = draft.add_indices(indices)
             primitive["material"] = materials.setdefault(part.material or default, len(materials))
-        node = objects.index(part.name) if part.name in objects else 0
+        node = next((k for k, of in enumerate(objects.values()) if part in of), 0)
         primitives[node].append(primitive)
         groups.append(
             PrimitiveGroup(node, [primitive], vertex_of, corner_of, np.eye(4), "NORMAL" in primitive["attributes"])
@@ -376,17 +376,21 @@ def build_document(mesh: Mesh, moved: Mesh, skinned: bool = False) -> tuple[Draf
     return draft, groups
 
 
-def _objects(mesh: Mesh) -> list[str]:
-    """Return the names of the objects of a mesh: those of its parts, if all have one and no vertex is of two of them.
+def _objects(mesh: Mesh) -> dict[str, list[Part]]:
+    """Return the parts of each object of a mesh by its name: objects of an OBJ file, or groups where there is one.
 
-    Groups of one surface, such as its hip and its thigh, are no objects.
+    All have names, and no vertex is of two of them: groups of one surface, such as its hip and its thigh, are no
+    objects. Else the mesh is one.
     """
     parts = [part for part in mesh.parts if part.stop > part.start]
-    names = list(dict.fromkeys(part.name for part in parts))
-    used = [np.unique(np.concatenate([mesh.faces[p.start : p.stop] for p in parts if p.name == n])) for n in names]
-    if len(names) < 2 or "" in names or sum(map(len, used)) > len(np.unique(mesh.faces)):
-        return [mesh.name]
-    return names
+    several = len({part.object for part in parts}) > 1
+    objects: dict[str, list[Part]] = {}
+    for part in parts:
+        objects.setdefault(part.object if several else part.name, []).append(part)
+    used = [len(np.unique(np.concatenate([mesh.faces[p.start : p.stop] for p in of]))) for of in objects.values()]
+    if len(objects) < 2 or "" in objects or sum(used) > len(np.unique(mesh.faces)):
+        return {mesh.name: parts}
+    return objects
 
 
 def stage_transform(mesh: Mesh) -> dict[str, list[float]]:
