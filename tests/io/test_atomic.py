@@ -56,9 +56,13 @@ def test_files_have_the_rights_of_new_ones(tmp_path, mask):
     before = os.umask(mask)
     try:
         write(tmp_path / "a.txt", "a")
+        with whole_file(tmp_path / "b.txt") as temporary:  # a writer that makes a file of its own
+            temporary.unlink()
+            temporary.touch(0o600)
     finally:
         os.umask(before)
-    assert (tmp_path / "a.txt").stat().st_mode & 0o777 == 0o666 & ~mask
+    for name in ("a.txt", "b.txt"):
+        assert (tmp_path / name).stat().st_mode & 0o777 == 0o666 & ~mask
 
 
 def write_all(folder: Path, files: tuple[str, ...], error: BaseException | None = None, taken: Path | None = None):

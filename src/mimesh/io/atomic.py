@@ -89,7 +89,9 @@ def whole_file(path: str | Path) -> Iterator[Path]:
     temporary = _temporary_name(target.parent, path.stem, path.suffix)
     try:  # from before the file exists: a signal may come as soon as it does
         temporary.touch(exist_ok=False)
+        mode = temporary.stat().st_mode
         yield temporary
+        temporary.chmod(mode)  # some writers, as of .safetensors, make a file that only its owner can read
         _finish({target: temporary}, temporary)
     except BaseException:
         _delete(temporary)
