@@ -224,9 +224,9 @@ def test_arrays_that_can_be_used_are_not_copied():
 
 def test_notes_name_arguments():
     slab = CUBE.with_vertices(CUBE.vertices * [1.0, 1.0, 1.01])
-    assert any("give front=..." in note for note in mimesh.transfer(slab, CUBE, "copy").notes)
+    assert any("give up=... and front=..." in note for note in mimesh.transfer(slab, CUBE, "copy").notes)
     with naming_options():
-        assert any("give --front" in note for note in mimesh.transfer(slab, CUBE, "copy").notes)
+        assert any("give --up and --front" in note for note in mimesh.transfer(slab, CUBE, "copy").notes)
 
 
 @pytest.mark.parametrize(

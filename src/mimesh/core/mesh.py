@@ -65,7 +65,7 @@ class Part:
     stop: int
     material: Material | None = None
     above: str = ""
-    """Object that a group of an OBJ file is in."""
+    """Object that a group is in, of an OBJ file with several objects."""
 
     @property
     def object(self) -> str:

@@ -366,9 +366,13 @@ def _read_parts(source: ObjSource, polygon: Int[np.ndarray, " F"], path: Path) -
             runs = [*runs[:-1], run] if runs[-1][0] == first_face else [*runs, run]
     starts = np.searchsorted(polygon, [run[0] for run in runs]).tolist()
     stops = [*starts[1:], len(polygon)]
+    spans = list(zip(starts, stops, strict=True))
+    several = len({run[3] for run, (start, stop) in zip(runs, spans, strict=True) if start < stop}) > 1
     parts = [
-        Part(name, start, stop, source.materials.get(material, Material(material)) if material else None, above)
-        for (_, name, material, above), start, stop in zip(runs, starts, stops, strict=True)
+        Part(
+            name, start, stop, source.materials.get(material, Material(material)) if material else None, above * several
+        )
+        for (_, name, material, above), (start, stop) in zip(runs, spans, strict=True)
         if start < stop
     ]
     return () if parts == [Part("", 0, len(polygon))] else tuple(parts)
