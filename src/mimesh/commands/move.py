@@ -177,7 +177,7 @@ def animate(
         result, notes = job.run(output.silent)
         moved.append((result, of_identity + notes, described))
     results = [result for result, _, _ in moved]
-    names = free_names(results, [clip.name for clip in clips])
+    names = free_names(results, [clip.name for clip in clips], target)
     clips = [dataclasses.replace(clip, name=name) for clip, name in zip(clips, names, strict=True)]
     results[0].seconds["load"] += seconds
     replaced = target.exists()

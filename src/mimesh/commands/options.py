@@ -202,14 +202,17 @@ def _limit_loaded(count: int, at_end: Callable[[Callable[[], object]], object]) 
     """Set the threads of libraries that are loaded already, until the command ends."""
     from threadpoolctl import threadpool_limits
 
-    limits, before = threadpool_limits(count, user_api="blas"), dict(os.environ)
-    os.environ.update(dict.fromkeys((*LINEAR_ALGEBRA, NETWORKS), str(count)))
+    limits, before = threadpool_limits(count, user_api="blas"), os.environ.copy()
+    set_here = {name: str(count) for name in (*LINEAR_ALGEBRA, NETWORKS)}
+    os.environ.update(set_here)
 
     def restore() -> None:
         limits.restore_original_limits()
-        for name in (*LINEAR_ALGEBRA, NETWORKS):
-            del os.environ[name]
-            os.environ.update({name: before[name]} if name in before else {})
+        for name in set_here:
+            if name in before:
+                os.environ[name] = before[name]
+            else:
+                del os.environ[name]
 
     at_end(restore)
 

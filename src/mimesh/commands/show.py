@@ -47,9 +47,9 @@ def look(files: Files, no_limits: terminal.NoLimits = False, json: terminal.Json
     if errors:
         raise errors[-1]
     found = {tuple(re.findall(r"(?:up|front) [+]?(-?[xyz])", fact.stands or "")) for fact in facts.values()}
-    turned = [axes for axes in found if len(axes) == 2 and axes != ("y", "z")] if len(found) == 1 else []
-    axes = [f"--{name}={axis}" for of in turned for name, axis in zip(("up", "front"), of, strict=True)]
-    terminal.print_next("render", *files, "-o", "sheet.png", *axes)
+    axes = found.pop() if len(found) == 1 else ()
+    turned = (f"--up={axes[0]}", f"--front={axes[1]}") if len(axes) == 2 and axes != ("y", "z") else ()
+    terminal.print_next("render", *files, "-o", "sheet.png", *turned)
 
 
 @with_options

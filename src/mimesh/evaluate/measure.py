@@ -11,6 +11,7 @@ import json
 import time
 import zlib
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple
@@ -102,7 +103,18 @@ def card_of(method: str) -> dict[str, Any]:
     weights = weights_path(method)
     path = weights.with_suffix(".json")
     card = json.loads(path.read_text(encoding="utf-8")) if path.exists() else {}
-    return card if card.get("crc32") in (None, zlib.crc32(weights.read_bytes())) else {}
+    return card if card.get("crc32") in (None, weights_checksum(weights)) else {}
+
+
+def weights_checksum(path: Path) -> int:
+    """Return the checksum by which a card knows its weights, which are read once while the file does not change."""
+    facts = path.stat()
+    return _checksum(path, facts.st_mtime_ns, facts.st_size)
+
+
+@lru_cache(maxsize=64)
+def _checksum(path: Path, *_: int) -> int:
+    return zlib.crc32(path.read_bytes())
 
 
 def training_facts(method: str) -> dict[str, Any]:

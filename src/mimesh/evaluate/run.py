@@ -36,7 +36,7 @@ from .clip_protocols import CLIPS_ANIFORMER, CLIPS_ORDERED, ClipPair
 from .frozen_sets import frozen_sets, pair_checksum, role, set_checksum
 from .listed_pairs import ListedPairs, files_below, listed_pairs
 from .markdown import summary
-from .measure import EXTRA_INPUTS, Runtime, measure, open_network, run_on
+from .measure import EXTRA_INPUTS, Runtime, measure, open_network, run_on, weights_checksum
 from .metrics import VERSION, pmd
 from .pairs import Pair
 from .protocols import PROTOCOLS, QUADRUPED, SPLITS, Protocol
@@ -340,7 +340,7 @@ def fingerprint(method: str) -> int:
     path = weights_path(method)
     if path.suffix != ".onnx":
         return 0
-    checksum = zlib.crc32(path.read_bytes())
+    checksum = weights_checksum(path)
     uses_hands = getattr(find_model(method), "hands", None) is not None
     return zlib.crc32(hands_path().read_bytes(), checksum) if uses_hands else checksum
 

@@ -359,22 +359,22 @@ def _read_parts(source: ObjSource, polygon: Int[np.ndarray, " F"], path: Path) -
         keyword, *arguments = decoded(source.lines[number].strip()).split(None, 1)
         _, name, material, above = runs[-1]
         value = arguments[0] if arguments else ""
-        run = (first_face, name, value, above) if keyword == "usemtl" else (first_face, value, material, above)
-        run = (*run[:3], value) if keyword == "o" else run
+        if keyword == "usemtl":
+            material = value
+        else:
+            name, above = value, value if keyword == "o" else above
+        run = first_face, name, material, above
         if run[1:] != runs[-1][1:]:
             # Two statements without a face between them begin one run.
             runs = [*runs[:-1], run] if runs[-1][0] == first_face else [*runs, run]
     starts = np.searchsorted(polygon, [run[0] for run in runs]).tolist()
     stops = [*starts[1:], len(polygon)]
-    spans = list(zip(starts, stops, strict=True))
-    several = len({run[3] for run, (start, stop) in zip(runs, spans, strict=True) if start < stop}) > 1
-    parts = [
-        Part(
-            name, start, stop, source.materials.get(material, Material(material)) if material else None, above * several
-        )
-        for (_, name, material, above), (start, stop) in zip(runs, spans, strict=True)
-        if start < stop
-    ]
+    spans = [(run[1:], start, stop) for run, start, stop in zip(runs, starts, stops, strict=True) if start < stop]
+    several = len({above for (*_, above), _, _ in spans}) > 1
+    parts = []
+    for (name, material, above), start, stop in spans:
+        look = source.materials.get(material, Material(material)) if material else None
+        parts.append(Part(name, start, stop, look, above if several else ""))
     return () if parts == [Part("", 0, len(polygon))] else tuple(parts)
 
 

@@ -200,8 +200,10 @@ def batch(
     count = min(workers, sum(outcome["state"] == NOT_RUN for outcome in outcomes))
 
     def saved() -> BatchResult:
-        files_of = [{"identity": job.identity, "driving": job.driving, "output": job.output} for job in jobs]
-        told = [{**names, **outcome} for names, outcome in zip(files_of, outcomes, strict=True)]
+        told = [
+            {"identity": job.identity, "driving": job.driving, "output": job.output, **outcome}
+            for job, outcome in zip(jobs, outcomes, strict=True)
+        ]
         result = BatchResult(jobs, told, time.perf_counter() - begin, count, files)
         result.save()
         return result

@@ -290,10 +290,11 @@ def different_kinds(found: list[str | None], subjects: tuple[Subject, Subject]) 
             f"neither, as far as can be told{scene}; {if_it_is(alone)}"
         )
     first, second = (KINDS[body] for body in found if body is not None)
-    cut = [
-        (option(asked, ...), subject.mesh) for asked, subject in zip(("part", "driving_part"), subjects, strict=True)
+    parts = [
+        f", or {option(asked, ...)} if {of.mesh.name} is more than one thing"
+        for asked, of in zip(("part", "driving_part"), subjects, strict=True)
+        if len(of.mesh.parts) > 1
     ]
-    parts = [f", or {asked} if {mesh.name} is more than one thing" for asked, mesh in cut if len(mesh.parts) > 1]
     return (
         f"{names[0]} is taken for {first}, and {names[1]} for {second}: expected two of a kind; give "
         f"another driving, or {option('body', 'human')} or quadruped if one of the two is taken for the wrong one"

@@ -10,7 +10,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator
 from dataclasses import dataclass
-from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -191,8 +190,7 @@ def _without_base(mesh: Mesh, asked: str) -> MeshPart | None:
     area, count = face_areas(mesh.vertices, mesh.faces), component.max() + 1
     lies, all_of = np.bincount(component[lying], area[lying], count), np.bincount(component, area, count)
     flat = lies / all_of.clip(1e-30) > BASE_FLAT  # soles on a floor may be in its side, too
-    for one, other in _shoes(mesh, component, np.flatnonzero(flat), np.stack([lies, all_of], axis=1), side):
-        flat[[one, other]] = False
+    flat[_shoes(mesh, component, np.flatnonzero(flat), np.stack([lies, all_of], axis=1), side)] = False
     base = flat[component]
     kept = np.flatnonzero(~base)
     if not base.any() or len(kept) < len(mesh.faces) / 2:
@@ -212,23 +210,30 @@ def _shoes(
     flat: Int[np.ndarray, " K"],
     areas: Float[np.ndarray, "C 2"],
     side: str,
-) -> Iterator[tuple[int, int]]:
-    """Yield pairs of flat components that are shoes: short, and of the same areas, in the side and in all."""
+) -> Int[np.ndarray, " S"]:
+    """Find the flat components that are shoes: short, and another one has the same areas, in the side and in all.
+
+    A floor may be of thousands of tiles: none of them is compared with all others.
+    """
+    from scipy.spatial import KDTree
+
     up = "xyz".index(side[1])
-    height = np.ptp(mesh.vertices[:, up])
-    short = []
-    for k in flat.tolist():
-        points = mesh.vertices[np.unique(mesh.faces[component == k])]
-        if np.ptp(np.delete(points, up, axis=1), axis=0).max() < LONGEST_SHOE * height:
-            short.append(k)
-    for one, other in combinations(short, 2):
-        if np.allclose(areas[one], areas[other], rtol=SAME_SHOE):
-            yield one, other
+    points, of = np.delete(mesh.vertices[mesh.faces.ravel()], up, axis=1), np.repeat(component, 3)
+    low, high = np.full((len(areas), 2), np.inf), np.full((len(areas), 2), -np.inf)
+    np.minimum.at(low, of, points)
+    np.maximum.at(high, of, points)
+    length = (high - low).max(axis=1)[flat]
+    short = flat[length < LONGEST_SHOE * np.ptp(mesh.vertices[:, up])]
+    if len(short) < 2:
+        return short[:0]
+    logs = np.log(areas[short])
+    apart = np.asarray(KDTree(logs).query(logs, k=2, p=np.inf)[0])[:, 1]
+    return short[apart <= np.log1p(SAME_SHOE)]
 
 
 def named_parts(mesh: Mesh) -> dict[str, Bool[np.ndarray, " P"]]:
     """Return the parts of a mesh by each name that finds them: characters, parts, and nodes above these."""
-    above = [(part.name, *filter(None, [part.above])) for part in mesh.parts]
+    above = [(part.name, part.object) for part in mesh.parts]
     people: dict[str, np.ndarray] = {}
     if _gltf_source(mesh) is not None:
         from ..io.gltf.parts import characters, names_above

@@ -74,11 +74,12 @@ def save_skinned(
     own = any(result.own is not None for result in results)
     if own:
         _check_same_rig(results, found)
+    names = free_names(results, found, Path(path))
     if Path(path).suffix.lower() == ".vrma":
-        save_bone_motions(results, Path(path), distinct_names(found), layout)
+        save_bone_motions(results, Path(path), names, layout)
         return saved_clip(path, *(Deviations() for _ in results))
     save = _save_on_own_rig if own else _save_on_found_rig
-    return saved_clip(path, *save(results, Path(path), free_names(results, found), layout))
+    return saved_clip(path, *save(results, Path(path), names, layout))
 
 
 def _save_on_found_rig(
@@ -185,10 +186,10 @@ def _own_deviation(result: ClipResult) -> float:
     return float(distance / np.ptp(own.source.vertices, axis=0).max())
 
 
-def free_names(results: Sequence[ClipResult], names: Sequence[str]) -> list[str]:
-    """Number names that were there before, or are those of animations of the identity's own file."""
+def free_names(results: Sequence[ClipResult], names: Sequence[str], path: Path) -> list[str]:
+    """Number names that were there before, or are those of animations that a file keeps of the identity's own."""
     own = results[0].own
-    taken = () if own is None else animation_names(own.source.document)
+    taken = () if own is None or path.suffix.lower() == ".vrma" else animation_names(own.source.document)
     return distinct_names([*taken, *names])[len(taken) :]
 
 

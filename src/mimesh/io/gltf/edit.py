@@ -355,6 +355,7 @@ def build_document(mesh: Mesh, moved: Mesh, skinned: bool = False) -> tuple[Draf
         return edit_document(mesh.source, moved, skinned)
     draft = Draft({"asset": {"version": "2.0", "generator": "mimesh"}, "scene": 0})
     objects = _objects(mesh)
+    node_of = {part.start: node for node, of in enumerate(objects.values()) for part in of}
     primitives: list[list[dict[str, Any]]] = [[] for _ in objects]
     groups = []
     materials: dict[Material, int] = {}
@@ -364,7 +365,7 @@ def build_document(mesh: Mesh, moved: Mesh, skinned: bool = False) -> tuple[Draf
         if len(indices):
             primitive["indices"] = draft.add_indices(indices)
             primitive["material"] = materials.setdefault(part.material or default, len(materials))
-        node = next((k for k, of in enumerate(objects.values()) if part in of), 0)
+        node = node_of.get(part.start, 0)  # what is no part of a mesh is all of it
         primitives[node].append(primitive)
         groups.append(
             PrimitiveGroup(node, [primitive], vertex_of, corner_of, np.eye(4), "NORMAL" in primitive["attributes"])
