@@ -174,6 +174,16 @@ def test_a_narrow_dark_touch_screen_is_supported(watch, address):
 
 
 @pytest.mark.slow
+def test_a_page_is_ready_when_its_scene_is_drawn(watch, address):
+    """The stage is drawn when its size changes, too: also while the scene is still being decoded."""
+    late = "new Promise((done) => setTimeout(done, 500))"
+    slow = f"async function () {{ await {late}; return decoded.call(this); }}"
+    script = f"const decoded = Response.prototype.arrayBuffer; Response.prototype.arrayBuffer = {slow};"
+    watched = watch(address, script=script)
+    assert watched.page.evaluate("window.mimesh !== undefined && mimesh.stage.views.length === 4")
+
+
+@pytest.mark.slow
 def test_the_download_gives_the_same_bytes_and_controls_have_labels(watched):
     with watched.page.expect_download() as waiting:
         watched.page.click(".download")

@@ -72,9 +72,10 @@ async function start() {
   const stage = new Stage(box);
   const controls = new Controls(stage, { top, bottom });
   addNotes(bottom, packed);
-  stage.addEventListener("drawn", () => (document.documentElement.dataset.state = "ready"), { once: true });
   await stage.show(packed);
   window.mimesh = { stage, controls };
+  // Not before: a change of size draws the stage while it is still empty.
+  stage.addEventListener("drawn", () => (document.documentElement.dataset.state = "ready"), { once: true });
   if (!matchMedia("(prefers-reduced-motion: reduce)").matches) controls.play();
 }
 
