@@ -23,7 +23,7 @@ class Ended(NamedTuple):
 def small_pictures_and_no_way_it_stands(monkeypatch):
     """How a cube stands takes a network seconds to find, and tests/tools/test_inspect.py asks it."""
     monkeypatch.setattr("mimesh.tools.preview.TILE", (60, 72))
-    monkeypatch.setattr("mimesh.tools.inspect._stands", lambda mesh: None)
+    monkeypatch.setattr("mimesh.tools.inspect._stance", lambda mesh: None)
 
 
 @pytest.fixture

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import os
 import re
@@ -23,6 +24,8 @@ from mimesh.core.options import Hints, Layout, ModelOptions, values_of
 from mimesh.methods.find import MODELS, NETWORK_OF_BODY
 from mimesh.methods.onnx_models import PAIRINGS
 from mimesh.methods.onnx_runtime import THREADS
+from mimesh.pipeline.gltf_rigs import Stance
+from mimesh.tools.inspect import UNLIKE
 
 COPIED = "transfer hero.obj pose.obj -m copy --no-preview "
 """A transfer that needs no network."""
@@ -173,17 +176,15 @@ def test_threads_of_loaded_libraries_are_set_back(files, call, monkeypatch):
 
 
 @pytest.mark.parametrize(
-    ("stands", "axes"),
-    [
-        ("up +z, front -y, taken for a person (a guess)", " --up=z --front=-y"),
-        ("up +y (by the file), front +x, a person by its rig", " --up=y --front=x"),
-        ("up +y, front +z, taken for a person (a guess)", ""),
-        ("looks neither like a person nor like a four-legged animal", ""),
-    ],
+    ("axes", "options"),
+    [(("+z", "-y"), " --up=+z --front=-y"), (("+y", "+x"), " --up=+y --front=+x"), (("+y", "+z"), ""), (None, "")],
 )
-def test_look_names_the_axes_to_render_with(files, call, monkeypatch, stands, axes):
-    monkeypatch.setattr("mimesh.tools.inspect._stands", lambda mesh: stands)
-    assert call("look hero.obj").out.splitlines()[-1] == f"next: mimesh render hero.obj -o sheet.png{axes}"
+def test_look_names_the_axes_to_render_with(files, call, monkeypatch, axes, options):
+    stance = axes and Stance(axes, "in some way")
+    monkeypatch.setattr("mimesh.tools.inspect._stance", lambda mesh: stance)
+    assert call("look hero.obj").out.splitlines()[-1] == f"next: mimesh render hero.obj -o sheet.png{options}"
+    facts = json.loads(call("look hero.obj --json").out)["files"][0]
+    assert (facts["axes"], facts["stands"]) == ((list(axes), "in some way") if axes else (None, UNLIKE))
 
 
 def test_pictures_of_files_of_one_name_have_the_names_of_their_folders(files, call):

@@ -89,7 +89,7 @@ def test_errors_of_cancelled_work_are_nobodys(capsys):
 def test_a_refused_change_changes_nothing(session):
     finished(session)
     driving = session.driving
-    for changes in ({"up": "+z", "fps": -5}, {"fps": 12, "up": -1}, {"front": ["+x"]}):
+    for changes in ({"up": "+z", "fps": -5}, {"up": "+z", "fps": 1e9}, {"fps": 12, "up": -1}, {"front": ["+x"]}):
         with pytest.raises(InputError, match="expected"):
             session.set_item(driving.number, changes)
     assert (driving.up, driving.front, driving.fps) == (None, None, None)

@@ -31,7 +31,7 @@ GOLDEN = {
 @pytest.fixture(autouse=True)
 def no_way_it_stands(monkeypatch):
     """Leave out how a mesh stands, which a network finds in seconds."""
-    monkeypatch.setattr("mimesh.tools.inspect._stands", lambda mesh: None)
+    monkeypatch.setattr("mimesh.tools.inspect._stance", lambda mesh: None)
 
 
 def test_the_way_a_person_stands_is_told(monkeypatch):

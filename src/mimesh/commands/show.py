@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import re
 import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -46,9 +45,8 @@ def look(files: Files, no_limits: terminal.NoLimits = False, json: terminal.Json
         say(f"mimesh: {error}", error=True)
     if errors:
         raise errors[-1]
-    found = {tuple(re.findall(r"(?:up|front) [+]?(-?[xyz])", fact.stands or "")) for fact in facts.values()}
-    axes = found.pop() if len(found) == 1 else ()
-    turned = (f"--up={axes[0]}", f"--front={axes[1]}") if len(axes) == 2 and axes != ("y", "z") else ()
+    axes, *others = {fact.axes for fact in facts.values()}
+    turned = () if others or axes in (None, ("+y", "+z")) else (f"--up={axes[0]}", f"--front={axes[1]}")
     terminal.print_next("render", *files, "-o", "sheet.png", *turned)
 
 

@@ -70,13 +70,22 @@ def copied_motion(identity: Mesh, clip: Clip, own: OwnRig | None) -> tuple[Share
     return shared, copy_morphs(identity.source, clip.skeleton)
 
 
+class Stance(NamedTuple):
+    """How a mesh stands."""
+
+    axes: tuple[str, str]
+    """Up and front, such as "+y", "+z"."""
+    text: str
+    """The same, and what the mesh is taken for."""
+
+
 class RigFacts(NamedTuple):
     """What is known of the own rig of a mesh."""
 
     used: bool
     text: str
-    stands: str | None = None
-    """How a person or a four-legged animal stands, as the rig tells."""
+    stance: Stance | None = None
+    """That of a person or a four-legged animal, as the rig tells."""
 
 
 def rig_facts(mesh: Mesh, find: FindJoints | None = None) -> RigFacts | None:
@@ -109,8 +118,9 @@ def rig_facts(mesh: Mesh, find: FindJoints | None = None) -> RigFacts | None:
 
 
 def _facts(rig: HumanoidRig, kind: str, known: str, names: str = "") -> RigFacts:
-    stands = f"up {axis_name(rig.turn[1])}, front {axis_name(rig.turn[2])}, {kind} by its rig"
-    return RigFacts(True, f"{len(rig.character.parents)} joints{names}, {known}", stands)
+    up, front = axis_name(rig.turn[1]), axis_name(rig.turn[2])
+    stance = Stance((up, front), f"up {up}, front {front}, {kind} by its rig")
+    return RigFacts(True, f"{len(rig.character.parents)} joints{names}, {known}", stance)
 
 
 def known_joints(names: Iterable[str]) -> str:

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from ..core.arguments import check_rate
 from ..core.errors import InputError
 from ..core.joint_corrections import JointCorrections
 from ..core.mesh import Clip, Mesh
@@ -71,8 +71,10 @@ def parse_rate(value: Any) -> float | None:
     """Parse a frame rate of the page in frames per second; None for the file's own."""
     if value in (None, ""):
         return None
-    if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
-        raise InputError(f"frame rate: expected a positive number, found {value!r}; leave it empty for the file's own")
+    advice = "leave it empty for the file's own"
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise InputError(f"frame rate: expected a number, found {value!r}; {advice}")
+    check_rate(value, "frame rate", advice)
     return float(value)
 
 

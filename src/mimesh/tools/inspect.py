@@ -20,7 +20,7 @@ from ..io.beside import missing_images, missing_images_notes
 from ..io.polygons import polygon_sizes
 from ..methods.find import find_mime
 from ..pipeline.file_rigs import NO_RIGS
-from ..pipeline.gltf_rigs import known_joints, rig_facts
+from ..pipeline.gltf_rigs import Stance, known_joints, rig_facts
 from ..pipeline.joint_route import found_character
 from ..pipeline.known import Corrections
 from ..pipeline.look import KINDS, Subject, joint_finder
@@ -28,6 +28,7 @@ from .convert import unit_guess
 
 MOST_NAMES = 6
 """Names of parts or materials that are listed."""
+UNLIKE = "looks neither like a person nor like a four-legged animal, as far as can be told"
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,9 @@ class FileFacts:
     details: tuple[tuple[str, str], ...]
     """Further facts of the format, as name and value: unit, axes, joints, blend shapes, body of a motion."""
     stands: str | None
-    """Axes up and front, detected from the shape, and what it is taken for; None for a point cloud."""
+    """Axes up and front, by the rig or detected from the shape, and what it is taken for; None for a point cloud."""
+    axes: tuple[str, str] | None
+    """These axes, such as "+y", "+z"; None where nothing is known of them."""
     notes: tuple[str, ...]
     """Contents of the file that a result in its format will not have, one line each."""
     missing_images: tuple[str, ...]
@@ -128,6 +131,7 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
     path = None if path is None else Path(path)
     rig = rig_facts(mesh, lambda character: joint_finder(find_mime("mime"), (None, None))(character))
     rig_details = () if rig is None else (("rig", rig.text if rig.used else f"not used: {rig.text}"),)
+    stance = (rig and rig.stance) or (_stance(mesh) if len(mesh.faces) else None)
     merged, index = weld(mesh.vertices)
     faces = index[mesh.faces]
     # Faces between three distinct positions.
@@ -168,7 +172,8 @@ def facts_of(mesh: Mesh, clip: Clip | None = None, path: str | Path | None = Non
         seconds=float(clip.seconds) if clip is not None and moving else None,
         animations=getattr(mesh.source, "animations", ()),  # not all formats have these three
         details=getattr(mesh.source, "details", ()) + rig_details,
-        stands=(rig and rig.stands) or (_stands(mesh) if len(mesh.faces) else None),
+        stands=stance.text if stance else None if not len(mesh.faces) else UNLIKE,
+        axes=stance.axes if stance else None,
         notes=getattr(mesh.source, "notes", ()) if rig is None or not rig.used else (),
         missing_images=missing_images(mesh),
     )
@@ -254,16 +259,17 @@ def _motion_detail(joints: int, names: tuple[str, ...], parents: tuple[int, ...]
     return "motion", f"{_plural(joints, 'joint')}, {known}, played on the shipped body, which these facts describe"
 
 
-def _stands(mesh: Mesh) -> str:
-    """Say up and front of a mesh, and what it is taken for, as `mimesh rig` takes it."""
+def _stance(mesh: Mesh) -> Stance | None:
+    """Find up and front of a mesh, and what it is taken for, as `mimesh rig` takes it; None of what is refused."""
     subject = Subject(mesh, (None, None))
     try:
         seen, _, norm = found_character(find_mime("mime"), subject, "auto", NO_RIGS, Corrections())
     except RefusedMeshError:
-        return "looks neither like a person nor like a four-legged animal, as far as can be told"
+        return None
     by_file = " (by the file)" if norm.up_from == "file" else ""
     guess = " (a guess)" if norm.unsure else ""
-    return f"up {norm.up}{by_file}, front {norm.front}, taken for {KINDS[seen.body]}{guess}"
+    text = f"up {norm.up}{by_file}, front {norm.front}, taken for {KINDS[seen.body]}{guess}"
+    return Stance((norm.up, norm.front), text)
 
 
 def _triple(vector: Float[np.ndarray, " 3"]) -> tuple[float, float, float]:
