@@ -18,7 +18,7 @@ from mimesh.io import load_clip, load_mesh, save_bvh, save_clip, save_mesh
 from mimesh.io.gltf.document import open_document
 from mimesh.motions.procedural import walk_motion
 from mimesh.pipeline.skinned import distinct_names, save_skinned
-from mimesh.tools.convert import choose_clips
+from mimesh.tools.driving import choose_clips
 
 pytest.importorskip("onnx")
 

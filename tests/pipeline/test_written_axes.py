@@ -17,7 +17,8 @@ from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.draft import AccessorCopier
 from mimesh.pipeline import animate, transfer
 from mimesh.pipeline.rigging import rig
-from mimesh.tools.convert import convert, not_kept
+from mimesh.tools.convert import convert
+from mimesh.tools.notes import not_kept
 
 LYING = {
     "+y": np.eye(3),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mimesh.core.mesh import Mesh
+from mimesh.core.mesh import Clip, Mesh
 
 
 def tetrahedron() -> Mesh:
@@ -83,3 +83,10 @@ def point_cloud() -> Mesh:
 
 ZOO = (tetrahedron, cube, grid, two_parts, bow_tie, point_cloud)
 """All of them."""
+
+
+def moving_cube(frames: int = 4) -> Clip:
+    """Return a cube that is bent more in each frame, at 30 frames a second."""
+    mesh = cube()
+    bent = [mesh.vertices + t * np.sin(3 * mesh.vertices[:, ::-1]) / 5 for t in range(frames)]
+    return Clip(mesh, np.stack(bent), 30.0)

@@ -20,18 +20,7 @@ from mimesh.io.gltf.document import open_document, read_floats
 from mimesh.io.gltf.draft import Draft
 from mimesh.motions import load_motion, window
 from mimesh.pipeline.read import far_frames_note, first_frame_note
-from mimesh.tools.convert import (
-    LARGE,
-    DrivingClip,
-    convert,
-    not_kept,
-    posed_vrm_note,
-    read_driving,
-    size_note,
-    skinned_note,
-    taken_pose_note,
-    taken_rate_note,
-)
+from mimesh.tools.convert import convert
 from mimesh.view.movie import MOVIES
 
 pytestmark = pytest.mark.usefixtures("in_process")
@@ -40,33 +29,28 @@ CLIPS = sorted({*CLIP_WRITERS, ""} - {".fbx"})  # FBX needs Blender: tests/clien
 MESHES = sorted(MESH_WRITERS.keys() - {".fbx"})
 
 
-def clip(frames: int = 4) -> Clip:
-    mesh = zoo.cube()
-    return Clip(
-        mesh, np.stack([mesh.vertices + t * np.sin(3 * mesh.vertices[:, ::-1]) / 5 for t in range(frames)]), 30.0
-    )
-
-
 @pytest.mark.parametrize("suffix", CLIPS)
 def test_clips_are_kept_and_become_meshes(suffix, tmp_path):
     """To each format and back through .npz: what two formats hold of a clip, they hold of each other's."""
     source, calls = tmp_path / f"b{suffix}", []
-    save_clip(clip(), tmp_path / "a.npz")
+    save_clip(zoo.moving_cube(), tmp_path / "a.npz")
     convert(tmp_path / "a.npz", source, progress=lambda *done: calls.append(done))
     assert calls == [(k, 8) for k in range(1, 9)]
     written = convert(source, tmp_path / "c.npz")
     assert (written.frames, written.fps, written.vertices) == (4, 30.0, 8)
     for loaded in (load_clip(source), load_clip(tmp_path / "c.npz")):
-        np.testing.assert_allclose(loaded.vertices, clip().vertices, atol=1e-6)
-        np.testing.assert_array_equal(loaded.mesh.faces, clip().mesh.faces)
+        np.testing.assert_allclose(loaded.vertices, zoo.moving_cube().vertices, atol=1e-6)
+        np.testing.assert_array_equal(loaded.mesh.faces, zoo.moving_cube().mesh.faces)
         assert loaded.fps == 30
     for frame in (None, -1):
         convert(source, tmp_path / "b.obj", ConvertOptions(frame=frame))
-        np.testing.assert_allclose(load_mesh(tmp_path / "b.obj").vertices, clip().vertices[frame or 0], atol=1e-6)
+        np.testing.assert_allclose(
+            load_mesh(tmp_path / "b.obj").vertices, zoo.moving_cube().vertices[frame or 0], atol=1e-6
+        )
 
 
 def test_a_frame_that_is_not_there_is_refused(tmp_path):
-    save_clip(clip(), tmp_path / "a.npz")
+    save_clip(zoo.moving_cube(), tmp_path / "a.npz")
     with pytest.raises(InputError, match="expected --frame below its 4 frames, found 9"):
         convert(tmp_path / "a.npz", tmp_path / "b.obj", ConvertOptions(frame=9))
 
@@ -86,15 +70,15 @@ def test_meshes_are_kept_and_their_colours_kept_or_noted_as_lost(suffix, tmp_pat
 
 
 def test_range_of_frames_is_converted(tmp_path):
-    save_clip(clip(), tmp_path / "a.npz")
+    save_clip(zoo.moving_cube(), tmp_path / "a.npz")
     assert convert(tmp_path / "a.npz", tmp_path / "b.npz", ConvertOptions(start=1, step=2)).fps == 15
-    np.testing.assert_array_equal(load_clip(tmp_path / "b.npz").vertices, clip().vertices[1::2])
+    np.testing.assert_array_equal(load_clip(tmp_path / "b.npz").vertices, zoo.moving_cube().vertices[1::2])
 
 
 @pytest.mark.slow
 @matrix("suffix", MOVIES, quick=MOVIES[:1])
 def test_movies_have_all_frames(suffix, tmp_path):
-    save_clip(clip(3), tmp_path / "a.npz")
+    save_clip(zoo.moving_cube(3), tmp_path / "a.npz")
     calls, path = [], tmp_path / f"b{suffix}"
     convert(tmp_path / "a.npz", path, progress=lambda *done: calls.append(done))
     assert path.stat().st_size > 1000
@@ -109,14 +93,14 @@ def test_movies_have_all_frames(suffix, tmp_path):
 
 
 def test_notes_name_what_is_lost(tmp_path):
-    save_clip(clip(), tmp_path / "a.npz")
+    save_clip(zoo.moving_cube(), tmp_path / "a.npz")
     assert "first of 4 frames" in convert(tmp_path / "a.npz", tmp_path / "b.obj", ConvertOptions(frame=None)).notes[-1]
     with pytest.raises(InputError, match="for --morphs"):
         convert(tmp_path / "a.npz", tmp_path / "b.webp", ConvertOptions(morphs=True))
 
 
 def test_options_without_effect_are_refused(tmp_path):
-    save_clip(clip(), tmp_path / "a.glb")
+    save_clip(zoo.moving_cube(), tmp_path / "a.glb")
     save_mesh(zoo.cube(), tmp_path / "a.ply")
     mesh, frames = tmp_path / "b.obj", tmp_path / "b.npz"
     for options in ({"fps": 12.0}, {"animation": "Run"}, {"start": 1}, {"stop": 2}, {"step": 2}):
@@ -132,32 +116,15 @@ def test_options_without_effect_are_refused(tmp_path):
 
 @pytest.mark.parametrize("name", ["b.pc2", "b"])
 def test_lost_frame_rate_is_noted(name, tmp_path):
-    save_clip(clip(), tmp_path / "a.glb")
+    save_clip(zoo.moving_cube(), tmp_path / "a.glb")
     written = convert(tmp_path / "a.glb", tmp_path / name, ConvertOptions(fps=24.0))
     assert f"read {name} with --fps 24" in " ".join(written.notes)
     assert load_clip(tmp_path / name, fps=24.0).fps == 24.0
     assert "--fps" not in " ".join(convert(tmp_path / "a.glb", tmp_path / name, ConvertOptions(fps=30.0)).notes)
 
 
-def test_assumed_frame_rate_is_noted(tmp_path):
-    moving = clip()
-    assert "--fps" in taken_rate_note(moving, tmp_path)[0]
-    assert "--fps" in taken_rate_note(moving, tmp_path / "a.pc2")[0]
-    assert taken_rate_note(moving, tmp_path / "a.glb") == taken_rate_note(Clip.still(moving.mesh), tmp_path) == ()
-
-
-def test_large_files_are_noted(tmp_path):
-    for name in ("a.glb", "a.usdc"):
-        with (tmp_path / name).open("wb") as file:
-            file.truncate(LARGE)  # a sparse file: it takes no space on disk
-    assert "256 MiB: --step takes fewer frames, and --skinned" in size_note(tmp_path / "a.glb")[0]
-    assert "--skinned" not in size_note(tmp_path / "a.usdc")[0]
-    (tmp_path / "b.glb").write_bytes(b"small")
-    assert size_note(tmp_path / "b.glb") == size_note(tmp_path) == ()
-
-
 def test_pose_of_a_mesh_from_a_clip_is_noted(tmp_path):
-    save_clip(clip(), tmp_path / "a.glb")
+    save_clip(zoo.moving_cube(), tmp_path / "a.glb")
     assert convert(tmp_path / "a.glb", tmp_path / "b.obj").notes == (
         "b.obj is the mesh at rest; --frame takes a pose of its animation",
     )
@@ -175,7 +142,7 @@ def test_unknown_suffixes_are_refused(tmp_path):
 
 @pytest.mark.parametrize("fps", [float("inf"), 1e9])
 def test_impossible_frame_rates_are_refused(fps, tmp_path):
-    save_clip(clip(), tmp_path / "a.glb")
+    save_clip(zoo.moving_cube(), tmp_path / "a.glb")
     with pytest.raises(InputError, match="expected a frame rate from"):
         load_clip(tmp_path / "a.glb", fps=fps)
 
@@ -209,76 +176,9 @@ def test_single_frames_far_from_their_neighbours_are_noted():
     assert far_frames_note(Clip(rest, vertices, 30.0), "a.glb") == ()
 
 
-def test_chosen_frames_of_driving_files_have_the_notes_of_the_whole(tmp_path):
-    body, motion = load_body(), window(load_motion("jump"), 0.0, 1.0)
-    rotmat = motion.rotmat.copy()  # shipped motions are loaded once
-    rotmat[0] = np.eye(3)  # a calibration pose
-    motion = dataclasses.replace(motion, rotmat=rotmat)
-    save_clip(clip(30), tmp_path / "a.npz")
-    path = write_bvh(tmp_path / "a.bvh", body, motion)
-    for file, whole in ((tmp_path / "a.npz", load_clip(tmp_path / "a.npz")), (path, load_clip(path))):
-        chosen = DrivingClip(file, None, "a")
-        cut, notes = read_driving(chosen, None, None, slice(0, 9, 4))
-        np.testing.assert_array_equal(cut.vertices, whole.vertices[0:9:4])
-        assert cut.fps == whole.fps / 4
-        assert any("frame 0 differs" in note for note in notes) == (file == path)
-        assert len(read_driving(chosen, None, None, slice(3, 9, 4), whole=True)[0]) == len(whole)
-        for every in (False, True):
-            with pytest.raises(InputError, match="which leaves none"):
-                read_driving(chosen, None, None, slice(500, None, 1), whole=every)
-    assert not any("frame 0 differs" in note for note in read_driving(chosen, None, None, slice(1, 3, 1))[1])
-
-
-def test_notes_tell_which_pose_of_a_moving_file_was_taken(tmp_path):
-    path = write_bvh(tmp_path / "a.bvh", load_body(), window(load_motion("jump"), 0.0, 0.1))
-    assert "own body in its first frame is taken" in taken_pose_note(load_mesh(path), path)[0]
-    save_clip(clip(), tmp_path / "a.glb")
-    (note,) = taken_pose_note(load_mesh(tmp_path / "a.glb"), tmp_path / "a.glb")
-    assert note.startswith("a.glb has an animation: its mesh at rest is taken")
-    save_mesh(zoo.cube(), tmp_path / "a.obj")
-    assert taken_pose_note(load_mesh(tmp_path / "a.obj"), tmp_path / "a.obj") == ()
-
-
 def test_bones_alone_are_written_by_another_command(tmp_path):
     with pytest.raises(InputError, match=r"bones alone; write it with mimesh animate CHARACTER a.bvh -o b.vrma"):
         convert(tmp_path / "a.bvh", tmp_path / "b.vrma")
-
-
-def test_a_person_in_centimetres_without_a_unit_is_noted_in_formats_in_metres(tmp_path):
-    unitless = zoo.cube()
-    high = 182.5 / np.ptp(unitless.vertices, axis=0).max()
-    save_mesh(dataclasses.replace(unitless, vertices=unitless.vertices * high, name="man"), tmp_path / "man.obj")
-    noted = "man measures 182.5, which man.glb has in metres: a person, if its unit is cm; scale by 0.01 on import"
-    assert noted in convert(tmp_path / "man.obj", tmp_path / "man.glb").notes
-    mesh = load_mesh(tmp_path / "man.obj")
-    assert not_kept(mesh, tmp_path / "man.glb", "human") == (noted,)
-    assert not_kept(mesh, tmp_path / "man.glb", "other") == not_kept(mesh, tmp_path / "man.ply") == ()
-    of_animals = {size: not_kept(mesh.with_vertices(size / 182.5 * mesh.vertices), tmp_path / "a.glb", "quadruped")
-                  for size in (1.5, 120, 1200)}  # fmt: skip
-    assert [note[0].partition("an animal, if ")[2] for note in of_animals.values() if note] == [
-        "its unit is cm; scale by 0.01 on import",
-        "its unit is mm; scale by 0.001 on import",
-    ]
-    in_metres = load_mesh(tmp_path / "man.glb")
-    assert not_kept(in_metres, tmp_path / "man.gltf") == ()
-    assert "man.vrm has in metres" in not_kept(in_metres, tmp_path / "man.vrm")[0]
-
-
-def test_a_vrm_in_a_pose_has_a_note(tmp_path):
-    (note,) = posed_vrm_note(tmp_path / "posed.vrm")
-    assert note.startswith("posed.vrm rests in the pose")
-    assert posed_vrm_note(tmp_path / "posed.glb") == ()
-
-
-def test_notes_tell_large_deviations_of_skinned_files():
-    assert skinned_note({}) == skinned_note({"influence_deviation": 0.019, "skinned_deviation": 1e-5}) == ()
-    (note,) = skinned_note({"influence_deviation": 0.031, "skinned_deviation": 1e-5})
-    assert note.startswith("the few weights a vertex that files of joints have move a vertex by up to 0.031")
-    for cause, text in (("fingers", "frame: fingers that only"), ("rest", "frame: the mesh is bound in another pose")):
-        (note,) = skinned_note({"skinned_deviation": 0.012, "deviation_cause": cause})
-        assert f"up to 0.012 of the mesh's size from its {text}" in note
-    (note,) = skinned_note({"skinned_deviation": 0.012})
-    assert note.endswith("from its frame")
 
 
 @pytest.fixture

@@ -64,7 +64,7 @@ def rig(
     from ..io.formats import JOINTED
     from ..pipeline.rigging import rig as find_rig
     from ..pipeline.vrm import vrm_meta, written_skeleton
-    from ..tools.convert import not_kept
+    from ..tools.notes import not_kept
     from ..tools.preview import names_beside, rig_picture, save_picture, written_beside
     from .move import check_suffix
 
@@ -127,7 +127,7 @@ def capture(
     from ..pipeline.capturing import JOINT_FILES
     from ..pipeline.capturing import capture as capture_joints
     from ..pipeline.read import load_moving
-    from ..tools.convert import frames_at
+    from ..tools.notes import frames_at
     from .move import check_suffix
 
     target = output_path(output.output, lambda: clip.with_name(f"{clip.stem if clip.is_file() else clip.name}.bvh"))

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from ..core.mesh import Clip, Mesh
     from ..pipeline.report import Deviations, SavedClip
     from ..pipeline.result import ClipResult, Result
-    from ..tools.convert import DrivingClip
+    from ..tools.driving import DrivingClip
 
 MOST_NAMED = 6
 """Corrected joints up to which their names are printed, and clips that a note names."""
@@ -64,7 +64,7 @@ def transfer(
     from ..io.atomic import together
     from ..io.formats import MESH_WRITERS
     from ..pipeline import transfer as run_transfer
-    from ..tools.convert import taken_pose_note
+    from ..tools.notes import taken_pose_note
 
     suffix = usual_suffix(identity)
     _refuse_motion(identity, output.output)
@@ -101,7 +101,7 @@ def usual_suffix(identity: Path) -> str:
 def _refuse_motion(identity: Path, output: str | None) -> None:
     """Raise InputError for a file of joints alone as the mesh to move, unless an output is named for it."""
     from ..core.errors import InputError
-    from ..tools.convert import has_joints_alone
+    from ..tools.notes import has_joints_alone
 
     if output is None and identity.is_file() and has_joints_alone(identity):
         raise InputError(
@@ -113,7 +113,7 @@ def _refuse_motion(identity: Path, output: str | None) -> None:
 def _posed_mesh(path: Path, body_model: Path | None) -> tuple[Mesh, tuple[str, ...]]:
     """Read a mesh in the wanted pose, or with a body model what was recorded with it; returns notes as well."""
     from ..io import load_mesh, load_recorded_clip
-    from ..tools.convert import taken_pose_note
+    from ..tools.notes import taken_pose_note
 
     if body_model is not None:
         clip, notes = load_recorded_clip(path, body_model, count=1)
@@ -149,7 +149,8 @@ def animate(
     from ..io import check_writable, load_mesh
     from ..io.atomic import together
     from ..pipeline.skinned import free_names
-    from ..tools.convert import choose_clips, own_body_note
+    from ..tools.driving import choose_clips
+    from ..tools.notes import own_body_note
 
     _refuse_motion(identity, output.output)
     target = output_path(output.output, lambda: clip_output(identity, driving), frames=True)
@@ -227,7 +228,8 @@ class ClipJob:
     def run(self, silent: bool) -> tuple[ClipResult, tuple[str, ...]]:
         """Read the clip, and move the identity by it; return the result and notes on the file."""
         from ..pipeline import animate as run_animate
-        from ..tools.convert import hierarchy_note, read_driving, resampled_note
+        from ..tools.driving import read_driving
+        from ..tools.notes import hierarchy_note, resampled_note
 
         # Corrected joints may be in a frame that is not taken.
         whole, taken = self.hints.driving_joints is not None, self.taken
@@ -399,7 +401,7 @@ def result_facts(
     """
     from ..core.animated_rig import frames_around
     from ..pipeline.result import Result
-    from ..tools.convert import not_kept, posed_vrm_note, rate_note, size_note, skinned_note
+    from ..tools.notes import not_kept, posed_vrm_note, rate_note, size_note, skinned_note
 
     mesh = result.mesh
     fps, frames = (None, 1) if isinstance(result, Result) else (result.fps, len(result.frames))
@@ -467,7 +469,7 @@ def print_facts(facts: dict[str, Any], output: OutputOptions) -> dict[str, Any]:
 
 def _print_summary(facts: dict[str, Any]) -> None:
     """Print the output, its clips if it has several, notes with those that they are about, previews and a next step."""
-    from ..tools.convert import frames_at
+    from ..tools.notes import frames_at
     from ..view.movie import MOVIES
 
     clips, seconds = facts.get("clips", ()), sum(facts["seconds"].values())

@@ -106,7 +106,7 @@ def convert(
     Clips stay clips where the format of OUT allows; .gif, .webp and .mp4 are movies. Formats: see docs/formats.md.
     """
     from ..tools.convert import convert as convert_file
-    from ..tools.convert import frames_at
+    from ..tools.notes import frames_at
     from ..view.movie import MOVIES
 
     terminal.refuse_existing(printed.no_clobber, target)

@@ -184,7 +184,7 @@ def output_beside(identity: Path, driving: Path, suffix: str) -> Path:
     """Return the default output, `<identity>-<driving><suffix>` in the identity's folder."""
     from ..core.errors import InputError
     from ..core.system import refuse_pipe
-    from ..tools.convert import file_stem
+    from ..tools.driving import file_stem
 
     refuse_pipe(identity)
     if not identity.is_file():

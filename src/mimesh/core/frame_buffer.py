@@ -239,6 +239,11 @@ def each_frame(
             progress(t + 1, len(vertices))
 
 
+def part(progress: Progress | None, number: int, parts: int) -> Progress | None:
+    """Return a function that reports the progress of one of several equal parts as progress of the whole."""
+    return progress and (lambda done, total: progress(number * total + done, parts * total))
+
+
 def counted(items: Iterable[T], count: int, progress: Progress | None) -> Iterator[T]:
     """Iterate over items and report each to `progress` when the next one is requested."""
     for done, item in enumerate(items, 1):

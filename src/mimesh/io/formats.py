@@ -117,7 +117,7 @@ class Format:
     """Arguments: path, frame rate (None: the file's), progress callback. None also for those of ANIMATED."""
     write_clip: Callable[[Clip, Path, Progress | None], None] | None = None
     lacks: tuple[str, ...] = ()
-    """What a new file leaves out of a Mesh, in the words of `tools.convert.not_kept`, which says so in a note."""
+    """What a new file leaves out of a Mesh, in the words of `tools.notes.not_kept`, which says so in a note."""
     one_mesh: bool = False
     """Whether a file is one mesh and nothing more, so that numbered files may be the frames of a clip."""
 

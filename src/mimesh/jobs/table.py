@@ -34,7 +34,7 @@ from ..io.formats import ANIMATED, CLIP_READERS, JOINTED, MESH_WRITERS
 from ..methods.find import find_mime, find_model
 from ..mime.model import Mime
 from ..pipeline.capturing import JOINT_FILES
-from ..tools.convert import file_stem
+from ..tools.driving import file_stem
 from ..tools.preview import names_beside
 
 INPUTS = {

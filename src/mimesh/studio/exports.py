@@ -12,7 +12,7 @@ from pathlib import Path
 
 from ..core.animated_rig import INFLUENCES
 from ..core.errors import InputError
-from ..core.frame_buffer import Progress
+from ..core.frame_buffer import Progress, part
 from ..core.options import Layout
 from ..core.printable import numbered
 from ..io import check_writable, save_mesh
@@ -22,7 +22,8 @@ from ..pipeline.capturing import JOINT_FILES
 from ..pipeline.result import ClipResult
 from ..pipeline.skinned import AS_IT_IS, save_skinned
 from ..pipeline.vrm import check_bones_layout
-from ..tools.convert import BONES_ONLY, not_kept, part, rate_note, resampled_note, skinned_note
+from ..tools.convert import BONES_ONLY
+from ..tools.notes import not_kept, rate_note, resampled_note, skinned_note
 from ..view.movie import MOVIES
 from .items import Item, Options, finished_result
 from .operations import capture_driving, rig_mesh

@@ -24,7 +24,7 @@ from ..pipeline.gltf_rigs import Stance, known_joints, rig_facts
 from ..pipeline.joint_route import found_character
 from ..pipeline.known import Corrections
 from ..pipeline.look import KINDS, Subject, joint_finder
-from .convert import unit_guess
+from .notes import unit_guess
 
 MOST_NAMES = 6
 """Names of parts or materials that are listed."""
