@@ -12,7 +12,7 @@ from vrm_files import bone_positions, vrm, vrma
 
 import mimesh
 from mimesh.bodies import load_body
-from mimesh.commands.move import print_facts
+from mimesh.commands.facts import print_facts
 from mimesh.commands.options import OutputOptions
 from mimesh.io import load_clip, load_mesh, save_bvh, save_clip, save_mesh
 from mimesh.io.gltf.document import open_document

@@ -9,7 +9,7 @@ from people import person
 
 from mimesh.__main__ import run
 from mimesh.bodies import load_body
-from mimesh.commands.move import with_joint_files
+from mimesh.commands.joint_files import with_joint_files
 from mimesh.commands.options import JointOptions
 from mimesh.core.options import Hints
 from mimesh.io import load_mesh, save_mesh

@@ -11,8 +11,9 @@ import typer
 
 from ..core.options import FrameRange, Hints, Layout, MotionOptions, declared
 from ..core.printable import say
-from .move import check_joint_outputs, save_found, with_joint_files
+from .joint_files import check_joint_outputs, save_found, with_joint_files
 from .options import ClipOptions, JointOptions, OutputOptions, Without, with_options
+from .outputs import check_suffix
 from .terminal import (
     Model,
     Seed,
@@ -66,7 +67,6 @@ def rig(
     from ..pipeline.vrm import vrm_meta, written_skeleton
     from ..tools.notes import not_kept
     from ..tools.preview import names_beside, rig_picture, save_picture, written_beside
-    from .move import check_suffix
 
     target = output_path(output.output, lambda: file.with_name(f"{file.stem}-rigged.glb"))
     picture = names_beside(target)[0] if output.preview else None
@@ -128,7 +128,6 @@ def capture(
     from ..pipeline.capturing import capture as capture_joints
     from ..pipeline.read import load_moving
     from ..tools.notes import frames_at
-    from .move import check_suffix
 
     target = output_path(output.output, lambda: clip.with_name(f"{clip.stem if clip.is_file() else clip.name}.bvh"))
     refuse_inputs(target, clip)

@@ -22,8 +22,8 @@ import typer
 
 from ..commands import move
 from ..commands.joints import capture, rig
-from ..commands.move import check_clip_output, check_suffix
 from ..commands.options import ShapeOptions, options_of
+from ..commands.outputs import check_clip_output, check_suffix, usual_suffix
 from ..commands.terminal import SEPARATORS, output_path, refuse_inputs
 from ..core.arguments import described
 from ..core.errors import InputError, NotInstalledError, did_you_mean, option
@@ -102,7 +102,7 @@ class BatchJob:
             return written
         if self.command == "rig":
             return [*written, names_beside(Path(self.output))[0]]
-        usual = ".glb" if self.command == "animate" else move.usual_suffix(Path(self.identity))
+        usual = ".glb" if self.command == "animate" else usual_suffix(Path(self.identity))
         return [*written, *names_beside(Path(self.output), usual=usual)]
 
 
