@@ -20,7 +20,7 @@ ROOT = Path(__file__).parents[1]
 FOLDER = ROOT / "blender"
 PYTHONS = ("3.11", "3.13")
 """Python versions of Blender 4.5 and 5.0, and of 5.1 and later."""
-PACKAGES = ("scipy", "onnxruntime", "jaxtyping", "wadler-lindig")
+PACKAGES = ("scipy", "onnxruntime", "jaxtyping", "wadler-lindig", "threadpoolctl")
 """Packages that a transfer imports; the dependencies of onnxruntime are for tools that are not used."""
 PLATFORMS = {
     "linux-x64": [f"manylinux_2_{minor}_x86_64" for minor in (17, 24, 27, 28)] + ["manylinux2014_x86_64"],

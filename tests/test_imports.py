@@ -1,16 +1,21 @@
 """Structure of the package: no cycles, unique class names, nothing heavy at import; layers are `lint-imports`'."""
 
+import os
 import re
+import runpy
 import subprocess
 import sys
 from collections import Counter
+from importlib import metadata
 from pathlib import Path
 
 import grimp
 import pytest
+from packaging.requirements import Requirement
 from people import person
 
 import mimesh
+from mimesh.core.threads import LINEAR_ALGEBRA
 from mimesh.io import save_mesh
 
 ROOT = Path(mimesh.__file__).parent
@@ -104,6 +109,30 @@ def test_a_transfer_loads_what_it_needs(tmp_path):
     assert len(loaded) <= MODULES, loaded
     apart = ("io.gltf", "io.ply", "motions", "pipeline.vertex_route", "pipeline.node_route", "methods.npt", "render")
     assert [name for name in loaded if name.removeprefix("mimesh.").startswith(apart)] == []
+
+
+DISTRIBUTIONS = """
+import sys
+from importlib.metadata import packages_distributions
+import mimesh
+hero, pose = (mimesh.load_mesh(name) for name in ("hero.obj", "pose.obj"))
+mimesh.transfer(hero, pose)
+mimesh.rig(hero)
+owners = packages_distributions()
+print(*{owner for name in sys.modules for owner in owners.get(name, ())})
+"""
+
+
+@pytest.mark.slow  # a process of its own
+def test_the_blender_extension_has_all_packages_that_are_loaded(tmp_path):
+    save_mesh(person(0), tmp_path / "hero.obj")
+    save_mesh(person(1, pose=0), tmp_path / "pose.obj")
+    packages = runpy.run_path(str(CHECKOUT / "scripts" / "build_blender.py"))["PACKAGES"]
+    environment = {name: value for name, value in os.environ.items() if name not in LINEAR_ALGEBRA}
+    command = [sys.executable, "-c", DISTRIBUTIONS]
+    answer = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=True)
+    needed = set(Requirement(line).name for line in metadata.requires("mimesh") or () if "extra ==" not in line)
+    assert set(answer.stdout.split()) & needed == {*packages, "numpy"} - {"wadler-lindig"}  # that is jaxtyping's
 
 
 def test_the_oldest_numpy_will_do():
