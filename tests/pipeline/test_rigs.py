@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from mimesh.bodies import load_body
 from mimesh.bodies.engine_names import SCHEMES as ENGINE_NAMES
-from mimesh.core.options import MotionOptions
+from mimesh.core.options import FrameRange, MotionOptions
 from mimesh.io import load_clip, load_mesh, save_mesh
 from mimesh.io.gltf.document import open_document
 from mimesh.io.gltf.draft import Draft
@@ -168,6 +168,21 @@ def test_rigs_below_mirroring_nodes_are_kept_and_move_as_they_are_seen(model, dr
     straight = MotionOptions(contacts=False)  # the samples of a surface are not mirrored
     mirrored = animate(str(identity), str(driving), model, motion=straight).clip.vertices
     assert deviation(mirrored, animate(str(plain), str(seen), model, motion=straight).clip.vertices * flip) < EXACT
+
+
+@pytest.mark.parametrize("shown", ["placed", "posed"])
+def test_hands_touch_the_body_however_the_file_shows_it(shown, model, tmp_path):
+    """Exporters write other nodes than those of the bind pose: frames of an animation, a place in a scene."""
+    aside = np.tile(np.eye(4), (len(rigs.figure(1).parents), 1, 1))
+    aside[:, :3, 3] = [0, 0, 5]
+    moved = aside if shown == "placed" else rigs.exercise(rigs.figure(1), 1, seed=9)[0]
+    files = [rigs.character(tmp_path / f"{k}.glb", 1, faces=1000, moved=of) for k, of in enumerate((None, moved))]
+    clip = write_bvh(tmp_path / "walk.bvh", load_body(), window(load_motion("walk"), 0.0, 1.0))
+    few, off = FrameRange(0, None, 8), MotionOptions(contacts=False)
+    at_rest, other = (animate(str(file), str(clip), model, frames=few).clip.vertices for file in files)
+    free = animate(str(files[0]), str(clip), model, frames=few, motion=off).clip.vertices
+    assert deviation(free, at_rest) > 0.01
+    assert deviation(other, at_rest) < 5e-4
 
 
 def test_limbs_of_one_joint_point_where_the_drivings_limbs_do(model, driving, tmp_path):

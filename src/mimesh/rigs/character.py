@@ -34,6 +34,8 @@ if TYPE_CHECKING:
     from ..motions.humanoid_rig import HumanoidRig
     from .body_grid import BodyGrid
 
+AT_REST = 1e-4
+"""Largest distance (normalised) of vertices that are at rest from there: files have single precision."""
 RestPose = tuple[Float[np.ndarray, "D 3 3"], Float[np.ndarray, "D 3"]]
 """World rotations and positions of a driving's joints at rest."""
 
@@ -81,13 +83,15 @@ class Character:
     """Rotations of the hands at rest whose fingers hang on the forearm, as there is no joint of the hand, by side."""
     in_action: bool = False
     """Whether it sits, lies or moves at rest, so that it need not stand on its soles."""
+    shown: Float[np.ndarray, "W 3"] | None = None
+    """The distinct positions as the file shows them, where that is not at rest: nodes may have been posed or moved."""
 
     @classmethod
     def of_file(cls, humanoid: HumanoidRig, norm: Normalization, vertices: Float[np.ndarray, "V 3"]) -> Character:
         """Normalise the rig of a file and select the joints that move with its hips.
 
         Args:
-            vertices: the mesh, normalised; may be in another pose than the rig's rest.
+            vertices: the mesh as the file shows it, normalised; may be in another pose than the rig's rest.
         """
         character = humanoid.character
         kept, parents = humanoid.tree()
@@ -107,18 +111,22 @@ class Character:
             name: body.joints[body.joint(end)] - body.joints[body.joint(name)]
             for name, end in humanoid.whole_limbs.items()
         }
+        skinned = SkinnedMesh.of_influences(columns[character.joint_of], character.weights, points, rig, parents)
+        rest = skinned.posed(rig.rotation, rig.joints[0]).astype(np.float64)
+        at_rest = np.allclose(rest, vertices, atol=AT_REST)
+        rest = vertices if at_rest else rest
         return cls(
             joints=tuple(character.joint_names[j] for j in kept),
             parents=parents,
             rig=rig,
-            points=vertices,
+            points=rest,
             group=np.arange(len(vertices)),
-            skinned=SkinnedMesh.of_influences(columns[character.joint_of], character.weights, points, rig, parents),
+            skinned=skinned,
             roles={name: place[joint] for name, joint in humanoid.joints.items() if joint in place},
             above=above,
             legs=legs,
             leg=humanoid.leg / norm.radius,
-            soles=find_soles(vertices, rig, legs, parents, arms),
+            soles=find_soles(rest, rig, legs, parents, arms),
             faces=character.mesh.faces,
             arms=arms,
             whole=humanoid.whole_limbs,
@@ -126,6 +134,7 @@ class Character:
             standing={name: humanoid.turn @ humanoid.frames[name] for name in humanoid.stands & humanoid.joints.keys()},
             palms={side: norm.rotation @ palm for side, palm in humanoid.palms.items()},
             in_action=humanoid.in_action,
+            shown=None if at_rest else vertices,
         )
 
     @cached_property
@@ -144,9 +153,10 @@ class Character:
     @property
     def floor(self) -> float | None:
         """Height of the floor that it is on: that of its lowest sole, in action of its lowest point; None: no feet."""
+        points = self.points if self.shown is None else self.shown
         if self.in_action and any(sole is not None for sole in self.soles[: len(self.legs)]):
-            return float(self.points[:, 1].min())
-        return sole_height(self.points, self.soles, len(self.legs))
+            return float(points[:, 1].min())
+        return sole_height(points, self.soles, len(self.legs))
 
     def rig_of_file(self, norm: Normalization) -> Rig:
         """Return the rig in the axes, unit and position of the file; `norm` is that of the character.
