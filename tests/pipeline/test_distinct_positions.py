@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 from people import person, split_everywhere, walk
 
 from mimesh.core.geometry import first_of_each
-from mimesh.core.mesh import Mesh, merged_mesh, same_colors
+from mimesh.core.mesh import Clip, Mesh, merged_mesh, same_colors
 from mimesh.core.options import Hints
 from mimesh.io import load_clip, load_mesh, save_mesh
 from mimesh.pipeline import animate, transfer
@@ -44,6 +46,21 @@ def test_results_have_the_vertices_of_the_file_in_its_order(suffix, model, tmp_p
     np.testing.assert_allclose(load_mesh(tmp_path / f"out{suffix}").vertices, moved.vertices, atol=1e-5)
     rest = rig(str(path), model, hints=Hints(body="human"), fingers=False).save(tmp_path / "rig.glb")
     assert len(load_mesh(rest).vertices) == len(read.vertices)
+
+
+@pytest.mark.parametrize("which", ["identity", "driving"])
+def test_a_vertex_of_no_face_changes_nothing(which, model):
+    """Exporters leave some far away, where nobody sees them."""
+    mesh, clip = person(0), walk()
+    clear = animate(mesh, clip, model).clip.vertices
+    if which == "identity":
+        mesh = dataclasses.replace(mesh, vertices=np.concatenate([mesh.vertices, [[0, 9.0, -30.0]]]))
+    else:
+        far = np.broadcast_to([0, -9.0, 30.0], (len(clip), 1, 3))
+        stray = dataclasses.replace(clip.mesh, vertices=np.concatenate([clip.mesh.vertices, far[0]]))
+        clip = Clip(stray, np.concatenate([clip.vertices, far], axis=1), clip.fps)
+    moved = animate(mesh, clip, model).clip.vertices[:, : clear.shape[1]]
+    np.testing.assert_allclose(moved, clear, atol=1e-5)
 
 
 def test_colours_that_differ_at_a_position_stay_apart():

@@ -133,6 +133,15 @@ class Mesh:
         """Sum up the mesh: arrays of thousands of numbers say nothing."""
         return f"Mesh({self.name!r}, {len(self.vertices)} vertices, {len(self.faces)} faces)"
 
+    def drawn(self, points: Float[np.ndarray, "*T V 3"]) -> Float[np.ndarray, "*T D 3"]:
+        """Select the points of vertices that any face has; all of a point cloud.
+
+        Files may have vertices far away that no face uses and nobody sees.
+        """
+        used = np.zeros(len(self.vertices), bool)
+        used[self.faces] = True
+        return points if used.all() or not used.any() else points[..., used, :]
+
     def with_vertices(self, vertices: Float[np.ndarray, "V 3"]) -> Mesh:
         """Return this mesh with other points; corner normals are turned along with the surface.
 

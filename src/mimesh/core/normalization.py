@@ -110,7 +110,7 @@ class Normalization:
             if detected:
                 chosen, margin = _best_orientation(scores, candidates)
         up, front = ORIENTATIONS[chosen]
-        rotated = rotate_axes(np.asarray(mesh.vertices, np.float64), ROTATIONS[chosen])
+        rotated = rotate_axes(np.asarray(mesh.drawn(mesh.vertices), np.float64), ROTATIONS[chosen])
         centre = bbox_centre(rotated)
         size = radius(rotated - centre)
         return cls(ROTATIONS[chosen], centre, size, up, front, detected, margin, up_from, shape_up)
@@ -224,7 +224,8 @@ def flat_side(mesh: Mesh) -> tuple[str | None, Int[np.ndarray, " B"]]:
     none = None, np.zeros(0, np.int64)
     if not len(mesh.faces):
         return none
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    drawn = mesh.drawn(mesh.vertices)
+    low, high = drawn.min(axis=0), drawn.max(axis=0)
     depth = FLAT * float((high - low).max())
     lying = {
         axis: np.flatnonzero((np.abs(mesh.vertices[:, k] - end) <= depth)[mesh.faces].all(axis=1))
@@ -425,7 +426,7 @@ def _at(mesh: Mesh, vertices: Float[np.ndarray, "V 3"]) -> Mesh:
 
 def _turned(upright: Mesh, norm: Normalization, rotation: Float[np.ndarray, "3 3"], heading: float) -> Normalization:
     """Return a normalization that applies an axis rotation, then takes out a heading, then centres and scales."""
-    vertices = turned(upright.vertices, -heading)
+    vertices = turned(upright.drawn(upright.vertices), -heading)
     centre = bbox_centre(vertices)
     return replace(
         norm,
