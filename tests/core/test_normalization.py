@@ -18,6 +18,7 @@ from mimesh.core.normalization import (
     bbox_centre,
     occupancy,
     parse_axis,
+    turned_to_front,
 )
 
 MESHES = [make() for make in ZOO]
@@ -82,6 +83,18 @@ def test_a_heading_between_the_axes_is_kept():
     angle = np.radians(25)
     turn = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
     assert Normalization.fit(with_vertices(mesh, mesh.vertices @ turn.T)).front == "+z"
+
+
+@pytest.mark.parametrize(("angle", "front"), [(180, "+z"), (-100, "+x"), (70, "-x"), (50, "-z"), (-40, "-z")])
+def test_results_face_the_axis_nearest_to_a_predicted_front(angle, front):
+    """A detected front that the network contradicts is another axis; of a given one only the heading is taken."""
+    mesh = person(0)
+    norm = Normalization.fit(mesh, "+y", "-z")
+    predicted = np.array([np.sin(np.radians(angle)), 0, np.cos(np.radians(angle))])
+    found = turned_to_front(mesh, norm, predicted, front_known=False)
+    assert found.front == front
+    np.testing.assert_allclose(found.rotation.T @ [0, 0, 1], norm.rotation.T @ predicted, atol=0.06)  # FRONT_DIGITS
+    assert turned_to_front(mesh, norm, predicted, front_known=True).front == "-z"
 
 
 def test_given_axes_are_used():

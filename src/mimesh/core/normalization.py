@@ -360,17 +360,13 @@ def without_heading(mesh: Mesh, norm: Normalization, front_known: bool, person: 
         best = int(np.where(np.abs(headings) <= WITHIN, scores, -np.inf).argmax())
         return _turned(upright, norm, norm.rotation, headings[best])
     best = int(scores.argmax())
-    quarter = int(np.round(headings[best] / (np.pi / 2)))
-    rotation = ROTATIONS[ORIENTATIONS.index(("+y", QUARTERS[quarter % 4]))] @ norm.rotation
     # Margin over the fronts at right angles to the best one, as for a mesh that stands along the axes.
     probability = np.exp(scores[best % 2 :: 2] - scores[best])
     margin = float((1 - np.sort(probability)[-2]) / probability.sum())
     if norm.up_from == "shape":
         totals = _up_probabilities(mesh)
         margin = min(margin, totals[norm.up] - max(total for axis, total in totals.items() if axis != norm.up))
-    detected = replace(norm, front=axis_name(rotation.T @ np.array([0.0, 0.0, 1.0])), margin=margin)
-    upright = _at(mesh, rotate_axes(np.asarray(mesh.vertices, np.float64), rotation))
-    return _turned(upright, detected, rotation, headings[best] - quarter * np.pi / 2)
+    return _at_nearest_front(mesh, replace(norm, margin=margin), headings[best])
 
 
 def turned_to_front(
@@ -383,7 +379,8 @@ def turned_to_front(
         norm: its normalization without the heading.
         front: the front that a model has predicted from the normalised mesh, a unit vector. One that points up or down
             has no heading, and changes nothing.
-        front_known: whether the front of `norm` was given: a prediction that contradicts it is turned around.
+        front_known: whether the front of `norm` was given: a prediction that contradicts it is turned around. Else it
+            may be another axis then, which results face.
     """
     if np.hypot(front[0], front[2]) < LEVEL:
         return norm
@@ -392,8 +389,19 @@ def turned_to_front(
     heading = (heading + np.pi) % (2 * np.pi) - np.pi
     if front_known and abs(heading) > np.pi / 2:
         heading -= np.sign(heading) * np.pi
+    if not front_known and abs(heading) > WITHIN:
+        return _at_nearest_front(mesh, norm, heading)
     upright = _at(mesh, rotate_axes(np.asarray(mesh.vertices, np.float64), norm.axes))
     return _turned(upright, norm, norm.axes, heading)
+
+
+def _at_nearest_front(mesh: Mesh, norm: Normalization, heading: float) -> Normalization:
+    """Return a normalization by a heading whose front is the axis of the file that is nearest to it."""
+    quarter = int(np.round(heading / (np.pi / 2)))
+    rotation = ROTATIONS[ORIENTATIONS.index(("+y", QUARTERS[quarter % 4]))] @ norm.axes
+    upright = _at(mesh, rotate_axes(np.asarray(mesh.vertices, np.float64), rotation))
+    front = axis_name(rotation.T @ np.array([0.0, 0.0, 1.0]))
+    return _turned(upright, replace(norm, front=front), rotation, heading - quarter * np.pi / 2)
 
 
 def principal_heading(upright: Mesh) -> float | None:
