@@ -137,6 +137,9 @@ class Mesh:
         """Select the points of vertices that any face has; all of a point cloud.
 
         Files may have vertices far away that no face uses and nobody sees.
+
+        Args:
+            points: one for each vertex, in any frame and unit.
         """
         used = np.zeros(len(self.vertices), bool)
         used[self.faces] = True
