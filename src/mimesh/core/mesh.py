@@ -133,18 +133,6 @@ class Mesh:
         """Sum up the mesh: arrays of thousands of numbers say nothing."""
         return f"Mesh({self.name!r}, {len(self.vertices)} vertices, {len(self.faces)} faces)"
 
-    def drawn(self, points: Float[np.ndarray, "*T V 3"]) -> Float[np.ndarray, "*T D 3"]:
-        """Select the points of vertices that any face has; all of a point cloud.
-
-        Files may have vertices far away that no face uses and nobody sees.
-
-        Args:
-            points: one for each vertex, in any frame and unit.
-        """
-        used = np.zeros(len(self.vertices), bool)
-        used[self.faces] = True
-        return points if used.all() or not used.any() else points[..., used, :]
-
     def with_vertices(self, vertices: Float[np.ndarray, "V 3"]) -> Mesh:
         """Return this mesh with other points; corner normals are turned along with the surface.
 
@@ -443,6 +431,16 @@ def same_colors(mesh: Mesh, group: Int[np.ndarray, " V"] | None) -> Int[np.ndarr
 def same_mesh(mesh: Mesh, other: Mesh) -> bool:
     """Tell whether two meshes are shapes of one: as many vertices, and the same triangles."""
     return len(mesh.vertices) == len(other.vertices) and np.array_equal(mesh.faces, other.faces)
+
+
+def drawn_points(mesh: Mesh, points: Float[np.ndarray, "*T V 3"]) -> Float[np.ndarray, "*T D 3"]:
+    """Select the points of vertices that any face has; all of a point cloud.
+
+    Files may have vertices far away that no face uses and nobody sees.
+    """
+    used = np.zeros(len(mesh.vertices), bool)
+    used[mesh.faces] = True
+    return points if used.all() or not used.any() else points[..., used, :]
 
 
 def permute_vertices(mesh: Mesh, order: Int[np.ndarray, " V"]) -> Mesh:

@@ -19,7 +19,7 @@ from jaxtyping import Float, Int
 
 from .errors import InputError, option
 from .geometry import face_areas, face_centroids, turned
-from .mesh import Mesh
+from .mesh import Mesh, drawn_points
 
 AXES = ("+x", "+y", "+z", "-x", "-y", "-z")
 """Names of the axes of a file."""
@@ -110,7 +110,7 @@ class Normalization:
             if detected:
                 chosen, margin = _best_orientation(scores, candidates)
         up, front = ORIENTATIONS[chosen]
-        rotated = rotate_axes(np.asarray(mesh.drawn(mesh.vertices), np.float64), ROTATIONS[chosen])
+        rotated = rotate_axes(np.asarray(drawn_points(mesh, mesh.vertices), np.float64), ROTATIONS[chosen])
         centre = bbox_centre(rotated)
         size = radius(rotated - centre)
         return cls(ROTATIONS[chosen], centre, size, up, front, detected, margin, up_from, shape_up)
@@ -224,7 +224,7 @@ def flat_side(mesh: Mesh) -> tuple[str | None, Int[np.ndarray, " B"]]:
     none = None, np.zeros(0, np.int64)
     if not len(mesh.faces):
         return none
-    drawn = mesh.drawn(mesh.vertices)
+    drawn = drawn_points(mesh, mesh.vertices)
     low, high = drawn.min(axis=0), drawn.max(axis=0)
     depth = FLAT * float((high - low).max())
     lying = {
@@ -434,7 +434,7 @@ def _at(mesh: Mesh, vertices: Float[np.ndarray, "V 3"]) -> Mesh:
 
 def _turned(upright: Mesh, norm: Normalization, rotation: Float[np.ndarray, "3 3"], heading: float) -> Normalization:
     """Return a normalization that applies an axis rotation, then takes out a heading, then centres and scales."""
-    vertices = turned(upright.drawn(upright.vertices), -heading)
+    vertices = turned(drawn_points(upright, upright.vertices), -heading)
     centre = bbox_centre(vertices)
     return replace(
         norm,

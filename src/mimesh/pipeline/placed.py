@@ -12,7 +12,7 @@ from jaxtyping import Float
 from ..core.animated_rig import AnimatedRig
 from ..core.errors import InputError
 from ..core.frame_buffer import LazyFrames, evenly_spread
-from ..core.mesh import Clip, Mesh
+from ..core.mesh import Clip, Mesh, drawn_points
 from ..core.normalization import Normalization, bbox_centre, turn
 from ..core.surface_points import SurfacePoints
 from ..io.beside import missing_images, missing_images_notes
@@ -123,10 +123,10 @@ class Placed:
                 points, over the edges of feet that tilt.
         """
         upright = turn(self.norms[0].heading)  # bounding boxes are those in the axes of the file
-        own, moved = (self.rest.drawn(points) @ upright.T for points in (self.rest.vertices, first))
+        own, moved = (drawn_points(self.rest, points) @ upright.T for points in (self.rest.vertices, first))
         if lift is None or len(self.clip) == 1:
             chosen = evenly_spread(len(self.clip), KEYFRAMES)
-            lowest = self.norms[1].apply(self.clip.mesh.drawn(self.clip.vertices[chosen]))[..., 1].min(axis=1)
+            lowest = self.norms[1].apply(drawn_points(self.clip.mesh, self.clip.vertices[chosen]))[..., 1].min(axis=1)
             above = self.stride * (lowest[0] - self.floor(float(lowest.min())))
             lowest_on_floor = float(own[:, 1].min() + above - moved[:, 1].min())
             alike = lift is not None and above == 0 and abs(lift - lowest_on_floor) < SOLE_ERROR
