@@ -36,8 +36,8 @@ PARTS = ("Trunk", "Head", *(side + part for side in SIDES for part in ROWS if pa
 NEEDED = frozenset(side + joint for side in SIDES for joint in ("Arm", "ForeArm", "Hand", "UpLeg"))
 """Joints without which there are no points."""
 SAMPLES = 16384
-"""Points of a surface among which its girths are measured. With a quarter of them, and of NEAREST, others of one surface
-moved hands by up to 2 to 5 % of the height, of 6 to 9 that contacts move them by; now by 0.7 to 2."""
+"""Points of a surface among which its girths are measured. With a quarter of them and of NEAREST, others of the same
+surface moved hands by up to 2 to 5 % of the height, where contacts move them by 6 to 9; now by 0.7 to 2."""
 NEAREST = 128
 """Samples of the surface whose mean distance is the girth at a point."""
 WIDTH = 0.25
