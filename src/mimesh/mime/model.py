@@ -104,9 +104,15 @@ class Mime(JointNetwork):
         return self.session, self.body, self.fits, self.seed
 
     @property
-    def trunk(self) -> list[int]:
-        """Return the joints of the body's trunk that many rigs lack."""
-        return [self.joints.index(name) for name in anatomy_of(self.body).optional_trunk if name in self.joints]
+    def bone_counts(self) -> dict[int, int]:
+        """As how many bones some joints' bones count where weights of neighbouring vertices are compared.
+
+        The trunk of an animal may be one joint's, beside those of the legs, so its bones do not count. Arms border on
+        the trunk at the shoulder alone, so their first bone counts twice: hems and pockets do not go with hands.
+        """
+        anatomy = anatomy_of(self.body)
+        counts = dict.fromkeys(anatomy.optional_trunk, 0) | {arm[0]: 2 for arm in anatomy.arms}
+        return {self.joints.index(name): count for name, count in counts.items() if name in self.joints}
 
     @property
     def arms(self) -> tuple[tuple[int, ...], ...]:
@@ -278,7 +284,7 @@ class Mime(JointNetwork):
             nearest, known = fit.nearest(vertices), fit.share
             weights = fit.blended_weights(weights, nearest)
         weights = with_whole_tail(weights, vertices, faces, self.joints, self.parents)
-        weights = clean_weights(weights, vertices, faces, self.parents, nearest, self.trunk)
+        weights = clean_weights(weights, vertices, faces, self.parents, nearest, self.bone_counts)
         weights = without_steps(weights, vertices, faces, known)
         weights = weights if coarse is None else coarse.carried(weights)
         return dataclasses.replace(rig, weights=weights), confidence

@@ -29,9 +29,10 @@ a transfer, and would follow each point of the fitted body and each facet, as bu
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
+from types import MappingProxyType
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
@@ -80,8 +81,7 @@ sets in, and how many times: 29 per metre of a person of 1.7 m. An elbow has 20 
 LARGEST_PART = 0.5
 """Share of the surface from which on a piece is the figure itself, neither a block of it nor something it holds."""
 MAX_BONES = 5
-"""Bones between two joints from which on neighbouring vertices cannot be weighted to both; the two hips are 4 apart.
-The trunk of an animal may be one joint's, beside those of the legs, so its bones are not counted."""
+"""Bones between two joints from which on neighbouring vertices cannot be weighted to both; the two hips are 4 apart."""
 TAIL = "Tail1"
 """First joint of a tail."""
 LARGEST_TAIL = 0.06
@@ -110,19 +110,19 @@ def clean_weights(
     faces: Int[np.ndarray, "F 3"],
     parents: tuple[int, ...],
     nearest: NearestBody | None = None,
-    trunk: Collection[int] = (),
+    counts: Mapping[int, int] = MappingProxyType({}),
 ) -> Float[np.ndarray, "V J"]:
     """Return weights without influences far from each vertex's strongest joint, wrong components being inpainted.
 
     Args:
-        trunk: joints at the ends of bones that are not counted.
+        counts: see `bone_distances`.
         nearest: of each vertex, on the body that was fitted to the surface; None if there is none.
 
     Point clouds have no connectivity: their weights are returned as they are.
     """
     if len(faces) == 0:
         return weights
-    distance, pairs = bone_distances(parents, trunk), edges(faces)
+    distance, pairs = bone_distances(parents, counts), edges(faces)
     strongest = weights.argmax(axis=1)
     cut = distance[strongest[pairs[:, 0]], strongest[pairs[:, 1]]] >= MAX_BONES
     # Components of the mesh as it was (eyes, shoes) are surfaces of their own, each with its own largest component.
@@ -295,15 +295,19 @@ def _limbs(name: str) -> list[Int[np.ndarray, " L"]]:
     return [np.setdiff1d(np.arange(len(body.parents)), np.concatenate(limbs)), *limbs]
 
 
-def bone_distances(parents: tuple[int, ...], uncounted: Collection[int] = ()) -> Int[np.ndarray, "J J"]:
-    """Count the bones on the path between each two joints, but for those from the parents of some joints.
+def bone_distances(
+    parents: tuple[int, ...], counts: Mapping[int, int] = MappingProxyType({})
+) -> Int[np.ndarray, "J J"]:
+    """Count the bones on the path between each two joints.
 
-    The root's parent is -1.
+    Args:
+        parents: of each joint; the root's is -1.
+        counts: joint -> as how many bones that from its parent counts, where that is not one.
     """
     distance = np.zeros((len(parents), len(parents)), np.int64)
     for j, parent in enumerate(parents):
         if parent >= 0:  # parents come before their children: all distances of the parent are known
-            distance[j, :j] = distance[:j, j] = distance[parent, :j] + (j not in uncounted)
+            distance[j, :j] = distance[:j, j] = distance[parent, :j] + counts.get(j, 1)
     return distance
 
 
