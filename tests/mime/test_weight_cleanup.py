@@ -6,6 +6,7 @@ import trimesh
 
 from mimesh.bodies import load_body
 from mimesh.bodies.anatomy import anatomy_of
+from mimesh.core.geometry import edges
 from mimesh.core.rig import descendants
 from mimesh.mime.body_fit import NearestBody
 from mimesh.mime.weights import MAX_BONES, bone_distances, clean_weights, without_steps
@@ -34,6 +35,21 @@ def test_bones_of_an_animals_trunk_are_not_counted():
     leg, hips = body.joint("LeftForearm"), body.joint("Hips")
     assert bone_distances(body.parents)[leg, hips] >= MAX_BONES
     assert bone_distances(body.parents, trunk)[leg, hips] < MAX_BONES
+
+
+def test_a_hem_that_a_hand_touches_does_not_go_with_the_arm():
+    """Cloth beside a hand is predicted to be of its arm, in part of the upper one, which is near the trunk's joints."""
+    lower, arm = BODY.joint("LowerBack"), BODY.joint("LeftArm")
+    strongest, pairs = BODY.weights.argmax(axis=1), edges(BODY.faces)
+    border = pairs[strongest[pairs[:, 0]] != strongest[pairs[:, 1]]]
+    hem = np.setdiff1d(np.flatnonzero((strongest == lower) & (BODY.vertices[:, 0] > 0)), border)
+    weights = BODY.weights.copy()
+    weights[hem] = 0
+    weights[hem, arm] = 1
+    found = clean_weights(weights, BODY.vertices, BODY.faces, BODY.parents, counts={arm: 2})
+    assert len(hem) > 20
+    assert found[hem, arm].max() < 0.05
+    assert np.abs(found[hem] - BODY.weights[hem]).mean() < 0.02
 
 
 def test_correct_weights_stay():
