@@ -22,9 +22,9 @@ from ..core.npz_archive import (
     SEEN_POINTS,
     check_array_size,
     open_archive,
+    rate_of,
     read_array,
     read_array_header,
-    rate_of,
 )
 from .atomic import whole_file
 from .polygons import fan_corners

@@ -123,7 +123,7 @@ def read_obj(path: Path) -> Mesh:
     A part is a run of faces under one `o` or `g` and one `usemtl`. Six numbers after `v` are a point and its colour,
     sRGB-encoded, in 0..1 or, if any is above 1, in 0..255. The rest of the file (n-gons, lines, points, smoothing
     groups, comments, unknown statements) is kept in `source`. Missing values are filled in where others have them:
-    texture coordinates with (0, 0), the v of one-dimensional ones with 0, normals with those of the vertex, colours with white.
+    texture coordinates with (0, 0), normals with those of the vertex, colours with white; a missing v is 0.
 
     Raises:
         InputError: a number or an index cannot be read or is out of range; the message has its line.
