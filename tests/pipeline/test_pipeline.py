@@ -12,6 +12,7 @@ from zoo import cube, grid
 from mimesh.core.animated_rig import AnimatedRig
 from mimesh.core.errors import InputError
 from mimesh.core.frame_buffer import LazyFrames
+from mimesh.core.geometry import vertex_normals
 from mimesh.core.mesh import Clip, Mesh
 from mimesh.core.options import FrameRange, Hints, ModelOptions
 from mimesh.core.rig import Rig
@@ -138,13 +139,20 @@ def test_notes_of_the_identitys_file_are_passed_on():
 
 
 def test_a_result_is_apart_from_the_arrays_of_the_caller():
-    identity, pose = Mesh(person(0).vertices.copy(), person(0).faces.copy()), person(2, 1)
-    result = transfer(identity, pose, "copy")
-    vertices, faces = result.mesh.vertices.copy(), result.mesh.faces.copy()
-    identity.vertices[:] = identity.faces[:] = 0
-    np.testing.assert_array_equal(result.mesh.vertices, vertices)
-    np.testing.assert_array_equal(result.mesh.faces, faces)
-    assert faces.any()
+    vertices, faces = person(0).vertices.copy(), person(0).faces.copy()
+    given = {
+        "vertices": vertices,
+        "faces": faces,
+        "corner_uv": np.full((len(faces), 3, 2), 0.5),
+        "corner_normals": vertex_normals(vertices, faces)[faces],
+        "vertex_colors": np.ones((len(vertices), 4)),
+    }
+    result = transfer(Mesh(**given), person(2, 1), "copy")
+    before = {name: getattr(result.mesh, name).copy() for name in given}
+    for name, array in given.items():
+        array[:] = 0
+        np.testing.assert_array_equal(getattr(result.mesh, name), before[name])
+        assert before[name].any()
 
 
 def test_files_and_meshes_give_the_same_result(tmp_path):

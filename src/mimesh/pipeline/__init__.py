@@ -110,7 +110,8 @@ def animate(
 
     Args:
         identity: the mesh to move, or its path.
-        driving: the clip whose motion is taken, or its path.
+        driving: the clip whose motion is taken, or its path. Frames of a clip in memory are not copied: leave them
+            unchanged until the result is saved.
         model, hints, options: see `transfer`. Corrected joints of the driving are in its first frame, or in the frame
             that a file of them names; frames count from 0 in the whole clip.
         motion: how joints move.
