@@ -8,6 +8,7 @@ from creatures import BIRD, SPIDER, Boxes, pairs, snake
 from matrix import matrix
 
 from mimesh.bodies.rig_matching import Creature, chain_shares, match_rigs, named_front
+from mimesh.core.rig import descendants
 
 
 def matched(mine: Boxes, theirs: Boxes) -> dict[str, str]:
@@ -44,11 +45,14 @@ def test_a_chain_of_other_length_is_matched_by_arc_length():
 
 
 def test_feet_on_the_root_belong_to_the_legs_that_end_there():
-    creature = Creature(Boxes.of(SPIDER).character)
-    names = creature.rig.joint_names
-    for j, name in enumerate(names):
-        if "Foot" in name:
-            assert names[creature.parents[j]] == name.replace("Foot", "Lower")
+    feet_first = dict(sorted(SPIDER.items(), key=lambda joint: (joint[0] != "Root", "Foot" not in joint[0])))
+    for table in (SPIDER, feet_first):
+        creature = Creature(Boxes.of(table).character)
+        names = creature.rig.joint_names
+        for j, name in enumerate(names):
+            if "Foot" in name:
+                assert names[creature.parents[j]] == name.replace("Foot", "Lower")
+        assert descendants([0], creature.parents) == list(range(len(names)))
 
 
 def test_confidence_falls_with_what_does_not_correspond():

@@ -137,7 +137,10 @@ class Creature:
 
     @cached_property
     def parents(self) -> tuple[int, ...]:
-        """Parent of each joint; feet that are moved by inverse kinematics are below the ends of their legs."""
+        """Parent of each joint; feet that are moved by inverse kinematics are below the ends of their legs.
+
+        These may come after them, where other parents come before their children.
+        """
         parents = list(self.rig.parents)
         leaves = [
             j for j in range(len(parents)) if self.share[j] > 0 and not any(self.moving[k] for k in self._below(j))
