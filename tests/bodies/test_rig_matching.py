@@ -7,7 +7,7 @@ import pytest
 from creatures import BIRD, SPIDER, Boxes, pairs, snake
 from matrix import matrix
 
-from mimesh.bodies.rig_matching import Creature, chain_shares, match_rigs, named_front
+from mimesh.bodies.rig_matching import Creature, _hung, chain_shares, match_rigs, named_front
 from mimesh.core.rig import descendants
 
 
@@ -92,3 +92,16 @@ def test_names_decide_between_limbs_at_one_place():
         swapped[f"Wing.{side}"], swapped[f"Arm.{side}"] = table[f"Arm.{side}"], table[f"Wing.{side}"]
     found = matched(Boxes.of(table), Boxes.of(swapped))
     assert {name: name for name in table} == found
+
+
+def test_of_several_roots_those_without_a_match_go_with_the_main_joint():
+    table = {
+        "Body": ("", (0, 0, 0), (0, 0, 0.5)),
+        "Lamp": ("", (0, 1, 0), (0, 1, 0.4)),
+        "Handle": ("", (0, 2, 0), (0, 2, 0)),
+        "Hat": ("", (0, 0.5, 0.3), (0, 0.7, 0.3)),
+    }
+    mine = Creature(Boxes.of(table).character)
+    match = match_rigs(mine, Creature(Boxes.of({name: table[name] for name in ("Body", "Lamp")}).character))
+    assert match.follows.any(axis=1).tolist() == [True, True, False, False]
+    assert _hung(mine, match) == (-1, -1, -1, 0)
