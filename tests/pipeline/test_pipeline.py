@@ -13,7 +13,7 @@ from mimesh.core.animated_rig import AnimatedRig
 from mimesh.core.errors import InputError
 from mimesh.core.frame_buffer import LazyFrames
 from mimesh.core.geometry import vertex_normals
-from mimesh.core.mesh import Clip, Mesh
+from mimesh.core.mesh import Clip, Mesh, far_note
 from mimesh.core.options import FrameRange, Hints, ModelOptions
 from mimesh.core.rig import Rig
 from mimesh.io import load_mesh, save_mesh
@@ -211,6 +211,19 @@ def test_the_note_on_torn_surface_names_the_nearest_joint_and_the_place():
     assert "2% of the surface of bull is torn" in note
     assert "most near LeftHand (the point 0.5, 1.25, 0 of the mesh at rest)" in note
     assert "near the point 0.5, 1.25, 0" in torn_note(report, "bull", found=False)[0]
+
+
+def test_a_person_far_from_the_origin_keeps_the_shape_and_has_a_note():
+    """Moved to UTM coordinates, whose numbers are 0.5 m apart in single precision."""
+    moved = np.array([5e5, 0.0, 5e6])
+    near, far = person(0), person(0).with_vertices(person(0).vertices + moved)
+    expected, found = (animate(mesh, walk(), "copy") for mesh in (near, far))
+    np.testing.assert_allclose(found.clip.vertices - moved, expected.clip.vertices, atol=1e-6)
+    assert [note for note in found.notes if "far from the origin" in note] == list(far_note(far))
+    assert "are 0.5 apart there, and it measures 1." in far_note(far)[0]
+    assert far_note(far)[0] in transfer(far, person(1, 0), "copy").notes
+    assert not any("far from" in note for note in expected.notes)
+    assert not any("torn" in note for note in found.notes)
 
 
 def test_clip_of_one_frame_is_noted():

@@ -161,10 +161,12 @@ ANIMATED = (".fbx", ".glb", ".gltf", ".vrm", ".vrma")
 """Files that may contain several animations, read by `gltf.read_gltf_clip`."""
 JOINTED = (".glb", ".gltf", ".fbx", ".vrm")
 """Formats in which joints and weights are written."""
-MORPHED = (".glb", ".gltf")
-"""Formats to which a number of morph targets can be given."""
 CACHE = ".pc2"
 """Point caches: positions only, for a mesh file beside them."""
+SINGLE_PRECISION = (*JOINTED, CACHE, ".stl", ".usd", ".usda", ".usdc", ".usdz")
+"""Formats whose coordinates are float32."""
+MORPHED = (".glb", ".gltf")
+"""Formats to which a number of morph targets can be given."""
 MOTIONS = {".bvh", ".vrma"}
 """Files of joints without a mesh, which cannot be a frame of a clip."""
 BODY_MODELS = {".pkl"}

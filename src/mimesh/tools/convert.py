@@ -13,12 +13,12 @@ from .. import io
 from ..core.animated_rig import RigAnimation
 from ..core.errors import InputError, option
 from ..core.frame_buffer import PosedFrames, Progress, part
-from ..core.mesh import Mesh, cut_clip, stored_clip
+from ..core.mesh import Mesh, cut_clip, far_note, stored_clip
 from ..core.normalization import parse_axis
 from ..core.options import ConvertOptions
 from ..core.printable import shell_line
 from ..io.beside import missing_images, missing_images_notes
-from ..io.formats import FRAMES_ONLY, JOINTED, MESH_WRITERS, MORPHED, MOTIONS
+from ..io.formats import FRAMES_ONLY, JOINTED, MESH_WRITERS, MORPHED, MOTIONS, SINGLE_PRECISION, may_have_joints
 from .driving import animations_note, read_clip
 from .notes import lying_note, not_kept, rate_note
 
@@ -115,7 +115,8 @@ def convert(
     clip = stored_clip(clip)
     write_clip(clip, target, frames_as, part(progress, 1, 2))
     notes += (
-        _bones_note(clip.mesh, source, target)
+        _far_note(clip.mesh, target)
+        + _bones_note(clip.mesh, source, target)
         + not_kept(clip.mesh, target)
         + lying_note(clip.mesh, target)
         + rate_note(clip.fps, target)
@@ -229,9 +230,15 @@ def _at_rest_note(mesh: Mesh, source: Path, target: Path) -> tuple[str, ...]:
     return ()
 
 
+def _far_note(mesh: Mesh, target: Path) -> tuple[str, ...]:
+    """Return a note on single precision where a format has it; nodes of a glTF file may hold the place of the mesh."""
+    single = target.suffix.lower() in SINGLE_PRECISION and not may_have_joints(mesh)
+    return far_note(mesh) if single else ()
+
+
 def _write_mesh(mesh: Mesh, target: Path, frames: int = 1, notes: tuple[str, ...] = ()) -> Converted:
     io.save_mesh(mesh, target)
-    notes += not_kept(mesh, target) + lying_note(mesh, target)
+    notes += _far_note(mesh, target) + not_kept(mesh, target) + lying_note(mesh, target)
     if frames > 1:
         notes += (f"{target.suffix} files hold one mesh: {target.name} is the first of {frames} frames",)
     if mesh.source is None or mesh.source.suffix == target.suffix.lower():
