@@ -10,6 +10,9 @@ from matrix import matrix
 from mimesh.bodies.rig_matching import Creature, _hung, chain_shares, match_rigs, named_front
 from mimesh.core.rig import descendants
 
+FEET_FIRST = dict(sorted(SPIDER.items(), key=lambda joint: (joint[0] != "Root", "Foot" not in joint[0])))
+"""A spider whose feet, which are on the root, come before the legs that they are moved with."""
+
 
 def matched(mine: Boxes, theirs: Boxes) -> dict[str, str]:
     """Name the joint that each joint follows most."""
@@ -45,8 +48,7 @@ def test_a_chain_of_other_length_is_matched_by_arc_length():
 
 
 def test_feet_on_the_root_belong_to_the_legs_that_end_there():
-    feet_first = dict(sorted(SPIDER.items(), key=lambda joint: (joint[0] != "Root", "Foot" not in joint[0])))
-    for table in (SPIDER, feet_first):
+    for table in (SPIDER, FEET_FIRST):
         creature = Creature(Boxes.of(table).character)
         names = creature.rig.joint_names
         for j, name in enumerate(names):
@@ -105,3 +107,10 @@ def test_of_several_roots_those_without_a_match_go_with_the_main_joint():
     match = match_rigs(mine, Creature(Boxes.of({name: table[name] for name in ("Body", "Lamp")}).character))
     assert match.follows.any(axis=1).tolist() == [True, True, False, False]
     assert _hung(mine, match) == (-1, -1, -1, 0)
+    spider = Creature(Boxes.of(FEET_FIRST | {"Hat": ("", (0, 0.9, 0.3), (0, 1.1, 0.3))}).character)
+    names = spider.rig.joint_names
+    match = match_rigs(spider, Creature(Boxes.of(SPIDER).character))
+    match.follows[0] = 0
+    assert names[_hung(spider, match)[names.index("Hat")]] == "Body"
+    match.follows[[j for j, name in enumerate(names) if "Foot" not in name]] = 0
+    assert _hung(spider, match)[0] == -1, "one of its feet has a match"
