@@ -61,6 +61,7 @@ def test_steps_of_single_precision_far_from_the_origin_are_noted(tmp_path):
         ("a.ply", "c.glb", 1),
         ("a.ply", "c.obj", 0),
         ("b.glb", "d.glb", 0),
+        ("b.glb", "e.stl", 1),
     ):
         notes = convert(tmp_path / source, tmp_path / target).notes
         assert sum("far from the origin" in note for note in notes) == noted, target

@@ -265,7 +265,7 @@ def check_mesh(mesh: Mesh, path: str | Path) -> Mesh:
 
 FAR = 1e-3
 """Rounding error of coordinates in single precision over the size of the mesh, from which on it is far from the origin:
-a person of 1.8 m from 20 km on, where such numbers are 2 mm apart; at 5000 km, as in UTM coordinates, 0.5 m."""
+a person of 1.8 m from 33 km on, where such numbers are 4 mm apart; at 5000 km, as in UTM coordinates, 0.5 m."""
 
 
 def is_far(mesh: Mesh) -> bool:

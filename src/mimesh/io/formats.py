@@ -194,6 +194,12 @@ def may_have_joints(mesh: Mesh) -> bool:
     return mesh.source is not None and mesh.source.suffix in ANIMATED
 
 
+def in_single_precision(mesh: Mesh, path: Path) -> bool:
+    """Tell whether a file would hold a mesh in single precision; nodes of its own glTF file may hold its place."""
+    suffix = path.suffix.lower()
+    return suffix in SINGLE_PRECISION and not (suffix in JOINTED and may_have_joints(mesh))
+
+
 def found_suffix(path: Path) -> str:
     """Say which suffix a path has, for messages."""
     return f"found '{path.suffix}'" if path.suffix else "found no suffix"

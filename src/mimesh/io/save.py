@@ -37,10 +37,9 @@ from .formats import (
     FRAME_SUFFIXES,
     JOINTED,
     MESH_WRITERS,
-    SINGLE_PRECISION,
     found_suffix,
     gltf_file,
-    may_have_joints,
+    in_single_precision,
 )
 from .load import load_mesh
 from .mtl import copy_companions
@@ -86,7 +85,8 @@ def save_mesh(mesh: Mesh, path: str | Path) -> None:
             raise InputError(
                 f"{path}: expected an output in one of {' '.join(MESH_WRITERS)}, {found_suffix(path)}; name another"
             )
-        _check_precision(mesh, path)
+        if in_single_precision(mesh, path):
+            check_single_precision(mesh, path)
         writer = MESH_WRITERS[path.suffix.lower()]
         with writing(path), together():
             writer(mesh, path)
@@ -121,18 +121,13 @@ def save_clip(clip: Clip, path: str | Path, *, suffix: str | None = None, progre
             f"{path}: expected a clip format ({' '.join(CLIP_WRITERS)}) or a folder, found '{path.suffix}'; "
             f"write {path.with_suffix('.glb').name}, or {path.stem} for a folder of one mesh per frame"
         )
-    _check_precision(clip.mesh, path)
+    if in_single_precision(clip.mesh, path):
+        check_single_precision(clip.mesh, path)
     mesh_path = _mesh_path_of_cache(clip, path) if path.suffix.lower() == CACHE else None
     with writing(path), together():
         CLIP_WRITERS[path.suffix.lower()](clip, path, progress)
         if mesh_path is not None:
             save_mesh(clip.mesh.with_vertices(clip.vertices[0].astype(np.float64)), mesh_path)
-
-
-def _check_precision(mesh: Mesh, path: Path) -> None:
-    """Raise InputError where a format cannot hold the size of a mesh; nodes of a glTF file may hold its place."""
-    if path.suffix.lower() in SINGLE_PRECISION and not may_have_joints(mesh):
-        check_single_precision(mesh, path)
 
 
 def _save_folder(clip: Clip, path: Path, suffix: str | None, progress: Progress | None) -> None:

@@ -321,7 +321,10 @@ def _rows(values: np.ndarray, name: str, width: int, path: Path) -> Float[np.nda
 
 def _rate(arrays: dict[str, np.ndarray], path: Path) -> float:
     found = next((arrays[name] for name in RATES if name in arrays), np.array(DEFAULT_RATE))
-    return rate_of(found, RATES[0], path)
+    rate = rate_of(found, RATES[0], path)
+    if not 0 < rate < np.inf:
+        raise InputError(f"{path}: expected a positive frame rate, found {rate!r}; save one as {RATES[0]}")
+    return rate
 
 
 def upright(

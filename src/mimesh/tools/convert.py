@@ -18,7 +18,7 @@ from ..core.normalization import parse_axis
 from ..core.options import ConvertOptions
 from ..core.printable import shell_line
 from ..io.beside import missing_images, missing_images_notes
-from ..io.formats import FRAMES_ONLY, JOINTED, MESH_WRITERS, MORPHED, MOTIONS, SINGLE_PRECISION, may_have_joints
+from ..io.formats import FRAMES_ONLY, JOINTED, MESH_WRITERS, MORPHED, MOTIONS, in_single_precision
 from .driving import animations_note, read_clip
 from .notes import lying_note, not_kept, rate_note
 
@@ -115,7 +115,7 @@ def convert(
     clip = stored_clip(clip)
     write_clip(clip, target, frames_as, part(progress, 1, 2))
     notes += (
-        _far_note(clip.mesh, target)
+        (far_note(clip.mesh) if in_single_precision(clip.mesh, target) else ())
         + _bones_note(clip.mesh, source, target)
         + not_kept(clip.mesh, target)
         + lying_note(clip.mesh, target)
@@ -230,15 +230,10 @@ def _at_rest_note(mesh: Mesh, source: Path, target: Path) -> tuple[str, ...]:
     return ()
 
 
-def _far_note(mesh: Mesh, target: Path) -> tuple[str, ...]:
-    """Return a note on single precision where a format has it; nodes of a glTF file may hold the place of the mesh."""
-    single = target.suffix.lower() in SINGLE_PRECISION and not may_have_joints(mesh)
-    return far_note(mesh) if single else ()
-
-
 def _write_mesh(mesh: Mesh, target: Path, frames: int = 1, notes: tuple[str, ...] = ()) -> Converted:
     io.save_mesh(mesh, target)
-    notes += _far_note(mesh, target) + not_kept(mesh, target) + lying_note(mesh, target)
+    notes += far_note(mesh) if in_single_precision(mesh, target) else ()
+    notes += not_kept(mesh, target) + lying_note(mesh, target)
     if frames > 1:
         notes += (f"{target.suffix} files hold one mesh: {target.name} is the first of {frames} frames",)
     if mesh.source is None or mesh.source.suffix == target.suffix.lower():
