@@ -444,11 +444,11 @@ def _turned(
 
 def _hung(identity: Creature, match: RigMatch) -> tuple[int, ...]:
     """Return the parents of the identity's joints; roots of parts without a match go with the topmost matched joint."""
-    parents, known = list(identity.parents), match.follows.any(axis=1)
-    main = next((j for j in parents_first(parents) if known[j]), None)
+    parents, known = list(identity.parents), {*np.flatnonzero(match.follows.any(axis=1)).tolist()}
+    main = next((j for j in parents_first(parents) if j in known), None)
     for j in _roots(identity.parents):
         part = descendants([j], identity.parents)
-        if main is not None and identity.moving[j] and not known[part].any():
+        if main is not None and identity.moving[j] and known.isdisjoint(part):
             parents[j] = main
     return tuple(parents)
 
