@@ -7,7 +7,11 @@ import pytest
 from creatures import BIRD, SPIDER, Boxes, pairs, snake
 from matrix import matrix
 
-from mimesh.bodies.rig_matching import Creature, chain_shares, match_rigs, named_front
+from mimesh.bodies.rig_matching import Creature, _hung, chain_shares, match_rigs, named_front
+from mimesh.core.rig import descendants
+
+FEET_FIRST = dict(sorted(SPIDER.items(), key=lambda joint: (joint[0] != "Root", "Foot" not in joint[0])))
+"""A spider whose feet, which are on the root, come before the legs that they are moved with."""
 
 
 def matched(mine: Boxes, theirs: Boxes) -> dict[str, str]:
@@ -44,11 +48,13 @@ def test_a_chain_of_other_length_is_matched_by_arc_length():
 
 
 def test_feet_on_the_root_belong_to_the_legs_that_end_there():
-    creature = Creature(Boxes.of(SPIDER).character)
-    names = creature.rig.joint_names
-    for j, name in enumerate(names):
-        if "Foot" in name:
-            assert names[creature.parents[j]] == name.replace("Foot", "Lower")
+    for table in (SPIDER, FEET_FIRST):
+        creature = Creature(Boxes.of(table).character)
+        names = creature.rig.joint_names
+        for j, name in enumerate(names):
+            if "Foot" in name:
+                assert names[creature.parents[j]] == name.replace("Foot", "Lower")
+        assert descendants([0], creature.parents) == list(range(len(names)))
 
 
 def test_confidence_falls_with_what_does_not_correspond():
@@ -88,3 +94,23 @@ def test_names_decide_between_limbs_at_one_place():
         swapped[f"Wing.{side}"], swapped[f"Arm.{side}"] = table[f"Arm.{side}"], table[f"Wing.{side}"]
     found = matched(Boxes.of(table), Boxes.of(swapped))
     assert {name: name for name in table} == found
+
+
+def test_of_several_roots_those_without_a_match_go_with_the_main_joint():
+    table = {
+        "Body": ("", (0, 0, 0), (0, 0, 0.5)),
+        "Lamp": ("", (0, 1, 0), (0, 1, 0.4)),
+        "Handle": ("", (0, 2, 0), (0, 2, 0)),
+        "Hat": ("", (0, 0.5, 0.3), (0, 0.7, 0.3)),
+    }
+    mine = Creature(Boxes.of(table).character)
+    match = match_rigs(mine, Creature(Boxes.of({name: table[name] for name in ("Body", "Lamp")}).character))
+    assert match.follows.any(axis=1).tolist() == [True, True, False, False]
+    assert _hung(mine, match) == (-1, -1, -1, 0)
+    spider = Creature(Boxes.of(FEET_FIRST | {"Hat": ("", (0, 0.9, 0.3), (0, 1.1, 0.3))}).character)
+    names = spider.rig.joint_names
+    match = match_rigs(spider, Creature(Boxes.of(SPIDER).character))
+    match.follows[0] = 0
+    assert names[_hung(spider, match)[names.index("Hat")]] == "Body"
+    match.follows[[j for j, name in enumerate(names) if "Foot" not in name]] = 0
+    assert _hung(spider, match)[0] == -1, "one of its feet has a match"

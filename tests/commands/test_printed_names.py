@@ -8,6 +8,7 @@ import dataclasses
 import io
 import json
 import os
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -21,6 +22,7 @@ from mimesh.commands.terminal import progress
 from mimesh.core.mesh import Material, Part
 from mimesh.core.printable import plain, printable
 from mimesh.io import load_mesh, save_mesh
+from mimesh.jobs.command import print_summary
 from mimesh.jobs.run import BatchResult
 from mimesh.jobs.table import BatchJob
 
@@ -51,6 +53,20 @@ def test_all_lines_escape_names(hostile, call, monkeypatch):
     code, out, err = call("convert h\x1bo\u202e.glb h\x1b.stl")
     assert (code, BAD & set(out + err)) == (0, set())
     assert "next: mimesh look" in out
+
+
+def test_commands_that_are_printed_are_quoted_for_a_shell(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    Path("a [1]").mkdir()
+    save_mesh(zoo.cube(), "a [1]/b c.obj")
+    assert run(["transfer", "a [1]/b c.obj", "a [1]/b c.obj", "-m", "copy", "-o", "a [1]/d e.obj"]) == 0
+    assert shlex.split(capsys.readouterr().out.splitlines()[-1])[:3] == ["next:", "open", "a [1]/d e.preview.html"]
+    assert run(["convert", "a [1]/b c.obj", "a [1]/f.vrma"]) == 2
+    assert "mimesh animate CHARACTER 'b c.obj' -o f.vrma" in capsys.readouterr().err
+    folder = tmp_path / "a [1]"
+    files = {kind: folder / f"batch.{kind}" for kind in ("csv", "json")}
+    print_summary(BatchResult([], [], 1.0, 1, files), quiet=False)
+    assert shlex.split(capsys.readouterr().out.splitlines()[-1]) == ["next:", "open", str(files["csv"])]
 
 
 @pytest.mark.parametrize("title", ["{0}", "{task.nothing}", "[red]x[/nothing]", "\x1b]0;t\x07"])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mimesh.core import frame_buffer
-from mimesh.core.frame_buffer import LARGE, allocate_frames, release_pages
+from mimesh.core.frame_buffer import LARGE, allocate_frames, evenly_spread, release_pages
 from mimesh.core.mesh import Mesh
 from mimesh.io import load_clip, save_mesh
 
@@ -57,3 +57,10 @@ def test_a_folder_read_into_a_file_has_the_same_frames(tmp_path, monkeypatch):
     found = load_clip(tmp_path).vertices
     assert isinstance(found, np.memmap)
     assert np.array_equal(found, expected)
+
+
+@pytest.mark.parametrize(
+    ("frames", "most", "chosen"), [(11, 4, [0, 3, 7, 10]), (1000, 3, [0, 500, 999]), (3, 5, [0, 1, 2]), (9, 1, [0])]
+)
+def test_the_frames_nearest_to_even_steps_are_chosen(frames, most, chosen):
+    assert evenly_spread(frames, most).tolist() == chosen

@@ -139,6 +139,7 @@ def test_the_descendant_matrix_is_the_list_of_descendants():
     for j in range(len(BODY.parents)):
         assert np.flatnonzero(matrix[j]).tolist() == descendants([j], BODY.parents)
     assert set(matrix.ravel()) == {0.0, 1.0}
+    assert descendants([3], (1, 2, 3, -1, -1, 4)) == [0, 1, 2, 3], "children before their parents"
     with pytest.raises(ValueError, match="read-only"):
         matrix[0, 0] = 0
 

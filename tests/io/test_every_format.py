@@ -92,3 +92,18 @@ def test_a_missing_library_names_the_extra(suffix, tmp_path, monkeypatch):
     for use in uses if suffix != ".fbx" else uses[:2]:
         with pytest.raises(InputError, match=rf"found it not installed; pip install 'mimesh\[{extra}\]'"):
             use(path)
+
+
+@pytest.mark.parametrize("suffix", ["obj", "npz", "ply", "stl", "usdc", "glb", "pc2"])
+def test_a_mesh_too_far_from_the_origin_for_single_precision_is_kept_or_refused(suffix, tmp_path):
+    needs(suffix)
+    mesh, path = zoo.cube(), tmp_path / f"a.{suffix}"
+    far = mesh.with_vertices(mesh.vertices + [0, 1e8, 0])
+    save = save_mesh if suffix != "pc2" else lambda mesh, path: save_clip(Clip.still(mesh), path)
+    if suffix in ("obj", "npz", "ply"):
+        save(far, path)
+        np.testing.assert_allclose(load_mesh(path).vertices, far.vertices, rtol=1e-15)
+        return
+    with pytest.raises(InputError, match=r"which measures 1, where such numbers are 8 apart; move it there"):
+        save(far, path)
+    assert not path.exists()

@@ -40,6 +40,18 @@ def test_alternative_array_names_are_read(vertices, faces, tmp_path):
     assert load_clip(tmp_path / "a.npz").fps == 30
 
 
+def test_a_rate_may_be_an_array_of_one_number_and_a_wrong_one_is_named(tmp_path):
+    points = np.stack([zoo.cube().vertices] * 2)
+    for rate in (np.array([12.5]), np.array([[12.5]], np.float32), "12.5"):
+        np.savez(tmp_path / "a.npz", vertices=points, fps=rate)
+        assert load_clip(tmp_path / "a.npz").fps == 12.5
+    for rate, found in ((np.array([30.0, 30.0]), r"float64 \(2,\)"), ("fast", "'fast'")):
+        np.savez(tmp_path / "a.npz", vertices=points, fps=rate)
+        with pytest.raises(InputError, match=rf"expected a positive frame rate, found {found}; save one as fps"):
+            load_clip(tmp_path / "a.npz")
+        assert load_clip(tmp_path / "a.npz", fps=24.0).fps == 24
+
+
 def test_quads_become_triangles(tmp_path):
     np.savez(tmp_path / "a.npz", vertices=zoo.grid(2).vertices, faces=np.array([[0, 2, 3, 1]]))
     np.testing.assert_array_equal(load_mesh(tmp_path / "a.npz").faces, [[0, 2, 3], [0, 3, 1]])

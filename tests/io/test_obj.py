@@ -21,6 +21,7 @@ from nasty import (
 )
 from PIL import Image
 
+from mimesh.core.errors import InputError
 from mimesh.core.geometry import face_vectors
 from mimesh.core.mesh import Material, Part
 from mimesh.io import load_mesh, save_mesh
@@ -223,3 +224,14 @@ def test_saving_a_mesh_of_another_size_over_its_source_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"the file has vertices \(8, 3\)"):
         save_mesh(dataclasses.replace(mesh, vertices=more), tmp_path / "b.obj")
     assert not (tmp_path / "b.obj").exists()
+
+
+def test_texture_coordinates_may_have_one_two_or_three_numbers(tmp_path):
+    triangle = b"v 0 0 0\nv 1 0 0\nv 0 1 0\n%bf 1/1 2/2 3/3\n"
+    mixed = (b"vt 0.5\nvt 0.25 0.75\nvt 1 0.125 0\n", [[0.5, 0], [0.25, 0.75], [1, 0.125]])
+    for lines, expected in (mixed, (b"vt .5\nvt .25 # u\nvt 1\n", [[0.5, 0], [0.25, 0], [1, 0]])):
+        (tmp_path / "a.obj").write_bytes(triangle % lines)
+        np.testing.assert_array_equal(load_mesh(tmp_path / "a.obj").corner_uv, [expected])
+    (tmp_path / "a.obj").write_bytes(triangle % b"vt 0.5\nvt\nvt 1\n")
+    with pytest.raises(InputError, match=r"expected 2 numbers in line 5, found 'vt'"):
+        load_mesh(tmp_path / "a.obj")

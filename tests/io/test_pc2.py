@@ -63,6 +63,20 @@ def test_written_bytes_are_those_of_the_format(tmp_path):
     assert pc2[32:] == clip(2).vertices.astype("<f4").tobytes()
 
 
+def test_samples_are_the_frames_of_their_step_apart(tmp_path):
+    save_clip(clip(), tmp_path / "a.pc2")
+    data = (tmp_path / "a.pc2").read_bytes()
+    for step, rate in ((2.0, 15.0), (0.5, 60.0)):
+        (tmp_path / "a.pc2").write_bytes(data[:24] + struct.pack("<f", step) + data[28:])
+        np.testing.assert_array_equal(load_clip(tmp_path / "a.pc2").vertices, clip().vertices)
+        assert load_clip(tmp_path / "a.pc2").fps == rate
+        assert load_clip(tmp_path / "a.pc2", fps=24.0).fps == 24
+    for step in (0.0, -1.0, np.nan):
+        (tmp_path / "a.pc2").write_bytes(data[:24] + struct.pack("<f", step) + data[28:])
+        with pytest.raises(InputError, match=f"expected a positive sample rate, found {step:g}; export it again"):
+            load_clip(tmp_path / "a.pc2")
+
+
 def test_truncated_caches_are_refused(tmp_path):
     save_clip(clip(), tmp_path / "a.pc2")
     data = (tmp_path / "a.pc2").read_bytes()

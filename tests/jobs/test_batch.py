@@ -25,7 +25,7 @@ from mimesh.core.budgets import limits_are_lifted
 from mimesh.core.mesh import Clip
 from mimesh.io import load_clip, load_mesh, save_clip, save_mesh
 from mimesh.io.gltf.own_rig import has_rig
-from mimesh.jobs.run import BatchTask, fingerprint, recorded
+from mimesh.jobs.run import BatchTask, do_task, fingerprint, record_path, recorded
 from mimesh.jobs.table import filled, find_files, option_values, read_jobs
 
 
@@ -66,6 +66,19 @@ def summary_rows() -> list[dict[str, str]]:
 
 def everything() -> set[str]:
     return {str(path) for path in Path().rglob("*")}
+
+
+def test_outputs_with_the_longest_names_get_records_of_their_own(files):
+    names = [f"{'x' * 245}{k}" for k in range(2)] + ["ü" * 123, "walk"]
+    jobs = [
+        read_jobs("ids/a.obj", "poses/p0.ply", f"out/{name}.obj", {"model": "copy"}, "transfer")[0] for name in names
+    ]
+    assert len({record_path(job) for job in jobs}) == 4
+    assert record_path(jobs[3]) == Path("out/.walk.obj.job.json")
+    for job in jobs[1:3]:
+        task = BatchTask(job, fingerprint(job))
+        assert do_task(task)["state"] == "done"
+        assert recorded(task) is not None
 
 
 @pytest.mark.slow

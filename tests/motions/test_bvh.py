@@ -208,6 +208,22 @@ def test_positions_replace_the_offset_even_where_they_never_change(offsets, tmp_
     np.testing.assert_allclose(bvh.world()[1][1, 1], [7, 8, 9] + bvh.rotmat[1, 0] @ [0, -6, 0])
 
 
+def test_positions_of_rounding_alone_leave_the_offset(tmp_path):
+    rows = MOVING_HIPS.replace("8 1 0 0 0 0 0 0", "8 1 0 0 0 0.001 -0.001 0")
+    assert rows != MOVING_HIPS
+    bvh = load_bvh(write(tmp_path, rows))
+    np.testing.assert_array_equal(bvh.offsets[2], [0, -5, 0])
+    assert set(bvh.moved) == {1}
+
+
+def test_a_bone_without_an_offset_that_changes_its_length_has_its_mean_at_rest(tmp_path):
+    """One with an OFFSET keeps it."""
+    bvh = load_bvh(write(tmp_path, MOVING_HIPS.replace("OFFSET 0 9 1", "OFFSET 0 0 0")))
+    np.testing.assert_array_equal(bvh.offsets[1], [5, 8, 1])
+    np.testing.assert_array_equal(bvh.moved[1], [[4, 8, 1], [6, 8, 1]])
+    np.testing.assert_array_equal(load_bvh(write(tmp_path, MOVING_HIPS)).offsets[1], [0, 9, 1])
+
+
 @pytest.mark.parametrize("axes", [np.eye(3), Z_UP], ids=["y-up", "z-up"])
 @pytest.mark.parametrize("degrees", [40, -130])
 def test_a_rest_pose_between_the_axes_has_its_own_front(degrees, axes, tmp_path):

@@ -12,7 +12,8 @@ from zoo import cube, grid
 from mimesh.core.animated_rig import AnimatedRig
 from mimesh.core.errors import InputError
 from mimesh.core.frame_buffer import LazyFrames
-from mimesh.core.mesh import Clip, Mesh
+from mimesh.core.geometry import vertex_normals
+from mimesh.core.mesh import Clip, Mesh, far_note
 from mimesh.core.options import FrameRange, Hints, ModelOptions
 from mimesh.core.rig import Rig
 from mimesh.io import load_mesh, save_mesh
@@ -138,13 +139,20 @@ def test_notes_of_the_identitys_file_are_passed_on():
 
 
 def test_a_result_is_apart_from_the_arrays_of_the_caller():
-    identity, pose = Mesh(person(0).vertices.copy(), person(0).faces.copy()), person(2, 1)
-    result = transfer(identity, pose, "copy")
-    vertices, faces = result.mesh.vertices.copy(), result.mesh.faces.copy()
-    identity.vertices[:] = identity.faces[:] = 0
-    np.testing.assert_array_equal(result.mesh.vertices, vertices)
-    np.testing.assert_array_equal(result.mesh.faces, faces)
-    assert faces.any()
+    vertices, faces = person(0).vertices.copy(), person(0).faces.copy()
+    given = {
+        "vertices": vertices,
+        "faces": faces,
+        "corner_uv": np.full((len(faces), 3, 2), 0.5),
+        "corner_normals": vertex_normals(vertices, faces)[faces],
+        "vertex_colors": np.ones((len(vertices), 4)),
+    }
+    result = transfer(Mesh(**given), person(2, 1), "copy")
+    before = {name: getattr(result.mesh, name).copy() for name in given}
+    for name, array in given.items():
+        array[:] = 0
+        np.testing.assert_array_equal(getattr(result.mesh, name), before[name])
+        assert before[name].any()
 
 
 def test_files_and_meshes_give_the_same_result(tmp_path):
@@ -203,6 +211,19 @@ def test_the_note_on_torn_surface_names_the_nearest_joint_and_the_place():
     assert "2% of the surface of bull is torn" in note
     assert "most near LeftHand (the point 0.5, 1.25, 0 of the mesh at rest)" in note
     assert "near the point 0.5, 1.25, 0" in torn_note(report, "bull", found=False)[0]
+
+
+def test_a_person_far_from_the_origin_keeps_the_shape_and_has_a_note():
+    """Moved to UTM coordinates, whose numbers are 0.5 m apart in single precision."""
+    moved = np.array([5e5, 0.0, 5e6])
+    near, far = person(0), person(0).with_vertices(person(0).vertices + moved)
+    expected, found = (animate(mesh, walk(), "copy") for mesh in (near, far))
+    np.testing.assert_allclose(found.clip.vertices - moved, expected.clip.vertices, atol=1e-6)
+    assert [note for note in found.notes if "far from the origin" in note] == list(far_note(far))
+    assert "are 0.5 apart there, and it measures 1." in far_note(far)[0]
+    assert far_note(far)[0] in transfer(far, person(1, 0), "copy").notes
+    assert not any("far from" in note for note in expected.notes)
+    assert not any("torn" in note for note in found.notes)
 
 
 def test_clip_of_one_frame_is_noted():

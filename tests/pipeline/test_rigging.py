@@ -217,11 +217,15 @@ def test_hands_that_show_fingers_get_joints_of_them():
     assert len(plain.skeleton.names) == len(found.skeleton.names) - 30
 
 
-def test_corrected_joints_stay_where_they_are_put(rigged):
-    elbow = rigged.joints["LeftForeArm"] + [0.0, 0.03, 0.0]
-    corrected = mimesh.rig(rigged.mesh, hints=mimesh.Hints(joints={"LeftForeArm": elbow}))
+def test_corrected_joints_stay_where_they_are_put_also_far_from_the_origin(rigged):
+    away = np.array([0.0, 0.0, 1e5])
+    elbow = rigged.joints["LeftForeArm"] + [0.0, 0.03, 0.0] + away
+    mesh = rigged.mesh.with_vertices(rigged.mesh.vertices + away)
+    corrected = mimesh.rig(mesh, hints=mimesh.Hints(joints={"LeftForeArm": elbow}))
     assert corrected.source == "corrected"
     np.testing.assert_allclose(corrected.joints["LeftForeArm"], elbow, atol=1e-6)
+    assert any("far from the origin" in note for note in corrected.notes)
+    assert not any("far from the origin" in note for note in rigged.notes)
 
 
 @pytest.mark.slow

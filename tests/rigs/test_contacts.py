@@ -122,6 +122,22 @@ def test_arms_away_from_the_body_stay_to_the_last_bit(identity):
     np.testing.assert_array_equal(moved.rotation, copied.rotation)
 
 
+def test_hands_that_just_come_near_stay_to_the_last_bit():
+    """They would move by 2 mm, and surfaces are known to 3."""
+    _, copied, moved = kept(FAT, 0.9 * belly())
+    np.testing.assert_array_equal(moved.rotation, copied.rotation)
+
+
+def test_a_prop_in_a_hand_is_no_part_of_it():
+    hand = BODY.joint("LeftHand")
+    sword = BODY.joints[hand] + np.linspace(0.3, 1.0, 200)[:, None] * [1.0, 0.0, 0.0]
+    weights = np.concatenate([BODY.weights, np.repeat(np.eye(len(BODY.joints))[[hand]], len(sword), axis=0)])
+    points = np.concatenate([BODY.vertices, sword])
+    armed = BodyGrid.of(points, weights, BODY.joints, BODY.joint_names, BODY.parents)
+    assert armed is not None
+    np.testing.assert_array_equal(armed.rest, grid(BODY.vertices, BODY.joints).rest)
+
+
 def test_the_frame_rate_changes_little():
     share = np.clip(np.arange(121) / 60, 0, 1)[:, None, None]
     slow, fast = kept(FAT, share[::4] * belly()), kept(FAT, share * belly(), 120.0)

@@ -49,6 +49,24 @@ def test_clips_are_kept_and_become_meshes(suffix, tmp_path):
         )
 
 
+def test_steps_of_single_precision_far_from_the_origin_are_noted(tmp_path):
+    cube = zoo.moving_cube()
+    far = dataclasses.replace(
+        cube, mesh=cube.mesh.with_vertices(cube.mesh.vertices + 1e6), vertices=cube.vertices + 1e6
+    )
+    save_clip(far, tmp_path / "a.npz")
+    save_mesh(far.mesh, tmp_path / "a.ply")
+    for source, target, noted in (
+        ("a.npz", "b.glb", 1),
+        ("a.ply", "c.glb", 1),
+        ("a.ply", "c.obj", 0),
+        ("b.glb", "d.glb", 0),
+        ("b.glb", "e.stl", 1),
+    ):
+        notes = convert(tmp_path / source, tmp_path / target).notes
+        assert sum("far from the origin" in note for note in notes) == noted, target
+
+
 def test_a_frame_that_is_not_there_is_refused(tmp_path):
     save_clip(zoo.moving_cube(), tmp_path / "a.npz")
     with pytest.raises(InputError, match="expected --frame below its 4 frames, found 9"):

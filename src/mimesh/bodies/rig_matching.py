@@ -137,7 +137,10 @@ class Creature:
 
     @cached_property
     def parents(self) -> tuple[int, ...]:
-        """Parent of each joint; feet that are moved by inverse kinematics are below the ends of their legs."""
+        """Parent of each joint; feet that are moved by inverse kinematics are below the ends of their legs.
+
+        These may come after them, where other parents come before their children.
+        """
         parents = list(self.rig.parents)
         leaves = [
             j for j in range(len(parents)) if self.share[j] > 0 and not any(self.moving[k] for k in self._below(j))
@@ -226,12 +229,6 @@ class RigMatch:
     def confidence(self) -> float:
         """From 0 to 1: the agreement of the chains times the geometric mean of the shares that they carry."""
         return self.chain_agreement * float(np.sqrt(np.prod(self.covered)))
-
-    @property
-    def main(self) -> int | None:
-        """The matched joint of the identity that is found first, its root where that is matched."""
-        known = np.flatnonzero(self.follows.any(axis=1))
-        return int(known[0]) if len(known) else None
 
 
 def match_rigs(identity: Creature, driving: Creature) -> RigMatch:
@@ -446,11 +443,12 @@ def _turned(
 
 
 def _hung(identity: Creature, match: RigMatch) -> tuple[int, ...]:
-    """Return the parents of the identity's joints; roots of parts without a match go with the main joint."""
-    parents, main = list(identity.parents), match.main
+    """Return the parents of the identity's joints; roots of parts without a match go with the topmost matched joint."""
+    parents, known = list(identity.parents), {*np.flatnonzero(match.follows.any(axis=1)).tolist()}
+    main = next((j for j in parents_first(parents) if j in known), None)
     for j in _roots(identity.parents):
         part = descendants([j], identity.parents)
-        if main is not None and identity.moving[j] and not match.follows[part].any():
+        if main is not None and identity.moving[j] and known.isdisjoint(part):
             parents[j] = main
     return tuple(parents)
 

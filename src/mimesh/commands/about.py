@@ -7,7 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..core.printable import say
+from ..core.printable import say, shell_line
 from .options import OutputOptions, Without, with_options
 from .terminal import Json, Stop, open_page, print_json, print_next, progress
 
@@ -37,7 +37,7 @@ def demo(
         say(*facts["files"])
         say(*(f"note: {note}" for note in facts["notes"]))
         if facts["player"]:
-            say(f"open {facts['player']} in a browser to see it move, or: mimesh demo --open")
+            say(f"open {shell_line(facts['player'])} in a browser to see it move, or: mimesh demo --open")
         print_next("transfer", output / "identity.obj", output / "driving.obj")
 
 

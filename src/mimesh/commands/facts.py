@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from ..core.printable import listed, say
+from ..core.printable import listed, say, shell_line
 from .options import OutputOptions
 from .terminal import print_json, print_next
 
@@ -132,7 +132,7 @@ def _print_summary(facts: dict[str, Any]) -> None:
 def _print_viewing(facts: dict[str, Any]) -> None:
     output = Path(facts["output"])
     if facts["report"]["page"]:
-        say(f"next: open {facts['report']['page']} in a browser")
+        say(f"next: open {shell_line(facts['report']['page'])} in a browser")
     elif facts["fps"] is None and "clips" not in facts:
         print_next("render", output, "-o", output.with_suffix(".png"))
     elif output.suffix.lower() == ".vrma":

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from ..core.options import FrameRange, Hints, Layout, ModelOptions, MotionOptions
+from ..core.printable import shell_line
 from .facts import joined_facts, print_facts, result_facts
 from .joint_files import check_joint_outputs, save_joint_files, saved_joints, with_joint_files
 from .options import LOGGER, ClipOptions, JointOptions, OutputOptions, ShapeOptions, Without, with_options
@@ -347,7 +348,7 @@ def _write_previews(
         for number, (result, title) in enumerate(zip(results, titles, strict=True))
     ]
     if output.preview and len(results) > SHOWN_CLIPS:
-        command = f"mimesh render {target.name} -o NAME.html --animation NAME"
+        command = shell_line("mimesh", "render", target.name, "-o", "NAME.html", "--animation", "NAME")
         note = f"pictures and pages are of the first {SHOWN_CLIPS} of {len(results)} clips; {command} shows another"
         shown = [{**paths, "notes": (*paths["notes"], note)} for paths in shown]
     if output.open:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import shlex
 import sys
 import threading
 import time
@@ -16,7 +15,7 @@ from typing import Annotated, Any
 
 import typer
 
-from ..core.printable import printable, say
+from ..core.printable import printable, say, shell_line
 
 LINE_SECONDS = 10.0
 """Time between two lines that tell the progress where there is no terminal."""
@@ -118,7 +117,7 @@ def say_tables(text: str) -> None:
 
 def print_next(*words: str | Path) -> None:
     """Print the command that a user may want to run next, quoted for the shell."""
-    say("next: " + shlex.join(["mimesh", *map(str, words)]))
+    say(f"next: {shell_line('mimesh', *words)}")
 
 
 @contextlib.contextmanager

@@ -263,6 +263,46 @@ def check_mesh(mesh: Mesh, path: str | Path) -> Mesh:
     return mesh
 
 
+FAR = 1e-3
+"""Rounding error of coordinates in single precision over the size of the mesh, from which on it is far from the origin:
+a person of 1.8 m from 33 km on, where such numbers are 4 mm apart; at 5000 km, as in UTM coordinates, 0.5 m."""
+
+
+def is_far(mesh: Mesh) -> bool:
+    """Tell whether single precision rounds the coordinates of a mesh by more than FAR of its size."""
+    step, size = _step_and_size(mesh)
+    return step / 2 > FAR * size
+
+
+def far_note(mesh: Mesh) -> tuple[str, ...]:
+    """Return a note on a mesh that is too far from the origin for single precision."""
+    if not is_far(mesh):
+        return ()
+    step, size = _step_and_size(mesh)
+    return (
+        f"{mesh.name} is far from the origin: coordinates in single precision, as .glb, .fbx, .stl, .usd and .pc2 have "
+        f"them, are {step:.2g} apart there, and it measures {size:.3g}; move it to the origin",
+    )
+
+
+def check_single_precision(mesh: Mesh, path: str | Path) -> None:
+    """Raise InputError where nothing of a mesh is left in single precision: numbers are further apart than its size."""
+    step, size = _step_and_size(mesh)
+    if step > size > 0:
+        raise InputError(
+            f"{path}: expected a mesh near the origin, as {Path(path).suffix} has single precision, found {mesh.name}, "
+            f"which measures {size:.3g}, where such numbers are {step:.2g} apart; move it there, or write a .ply"
+        )
+
+
+def _step_and_size(mesh: Mesh) -> tuple[float, float]:
+    """Return the distance between numbers of single precision at the largest coordinate, and the longest side."""
+    vertices = mesh.vertices
+    if not len(vertices):
+        return 0.0, 0.0
+    return float(np.spacing(np.float32(np.abs(vertices).max()))), float(np.ptp(vertices, axis=0).max())
+
+
 def check_numbers(mesh: Mesh, path: str | Path) -> None:
     """Raise InputError for coordinates that are not finite, or face indices out of range; quick."""
     vertices, faces = mesh.vertices, mesh.faces

@@ -129,6 +129,20 @@ def read_array_header(file: IO[bytes] | io.BufferedIOBase, objects: bool = False
     return ArrayHeader(shape, fortran, dtype, file.tell())
 
 
+def rate_of(values: np.ndarray, name: str, path: Path) -> float:
+    """Return the frame rate that an array of one number has, of any number of dimensions; text is parsed.
+
+    Raises:
+        InputError: no number, or several.
+    """
+    with contextlib.suppress(ValueError):  # text, which some tools write
+        values = values.astype(np.float64) if values.size == 1 and values.dtype.kind in "US" else values
+    if values.size != 1 or values.dtype.kind not in "fiu":
+        wrong = f"{values.item()!r:.60}" if values.size == 1 else f"{values.dtype} {values.shape}"
+        raise InputError(f"{path}: expected a positive frame rate, found {wrong}; save one as {name}")
+    return float(values.item())
+
+
 def check_array_size(header: ArrayHeader, size: int) -> None:
     """Raise ValueError where a file or an entry of an archive, of `size` bytes, has not the numbers of its header."""
     if header.size + header.nbytes > size:

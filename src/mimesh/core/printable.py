@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import re
+import shlex
 import sys
 from collections.abc import Iterator, Sequence
 
@@ -37,6 +38,11 @@ def listed(names: Sequence[str], most: int) -> str:
     """Join the first names of a list, and say how many more there are."""
     more = f" and {len(names) - most} more" if len(names) > most else ""
     return ", ".join(names[:most]) + more
+
+
+def shell_line(*words: object) -> str:
+    """Join the words of a command, quoted for a shell where they have spaces, brackets and the like."""
+    return shlex.join(map(str, words))
 
 
 def say(*lines: str, error: bool = False) -> None:

@@ -42,11 +42,13 @@ class Rig:
 
 
 def descendants(tops: Iterable[int], parents: tuple[int, ...]) -> list[int]:
-    """List the indices of some joints and of all joints below them; parents come before their children."""
-    found = set(tops)
-    for j, parent in enumerate(parents):
-        if parent in found:
-            found.add(j)
+    """List the indices of some joints and of all joints below them, in rising order; joints may have any order."""
+    found, before = set(tops), 0
+    while len(found) > before:  # one round, and one that finds no more, where parents come before their children
+        before = len(found)
+        for j, parent in enumerate(parents):
+            if parent in found:
+                found.add(j)
     return sorted(found)
 
 

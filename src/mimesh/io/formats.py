@@ -161,10 +161,12 @@ ANIMATED = (".fbx", ".glb", ".gltf", ".vrm", ".vrma")
 """Files that may contain several animations, read by `gltf.read_gltf_clip`."""
 JOINTED = (".glb", ".gltf", ".fbx", ".vrm")
 """Formats in which joints and weights are written."""
-MORPHED = (".glb", ".gltf")
-"""Formats to which a number of morph targets can be given."""
 CACHE = ".pc2"
 """Point caches: positions only, for a mesh file beside them."""
+SINGLE_PRECISION = (*JOINTED, CACHE, ".stl", ".usd", ".usda", ".usdc", ".usdz")
+"""Formats whose coordinates are float32."""
+MORPHED = (".glb", ".gltf")
+"""Formats to which a number of morph targets can be given."""
 MOTIONS = {".bvh", ".vrma"}
 """Files of joints without a mesh, which cannot be a frame of a clip."""
 BODY_MODELS = {".pkl"}
@@ -190,6 +192,12 @@ def clip_suffixes() -> tuple[str, ...]:
 def may_have_joints(mesh: Mesh) -> bool:
     """Return whether a mesh was read from a file of a format that may have joints."""
     return mesh.source is not None and mesh.source.suffix in ANIMATED
+
+
+def in_single_precision(mesh: Mesh, path: Path) -> bool:
+    """Tell whether a file would hold a mesh in single precision; nodes of its own glTF file may hold its place."""
+    suffix = path.suffix.lower()
+    return suffix in SINGLE_PRECISION and not (suffix in JOINTED and may_have_joints(mesh))
 
 
 def found_suffix(path: Path) -> str:

@@ -17,7 +17,15 @@ from ..core.budgets import CORNERS, FACES, VERTICES, check_clip_size
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress, each_frame, store_frames
 from ..core.mesh import Clip, Mesh
-from ..core.npz_archive import POINTS, SEEN_POINTS, check_array_size, open_archive, read_array, read_array_header
+from ..core.npz_archive import (
+    POINTS,
+    SEEN_POINTS,
+    check_array_size,
+    open_archive,
+    rate_of,
+    read_array,
+    read_array_header,
+)
 from .atomic import whole_file
 from .polygons import fan_corners
 from .timing import DEFAULT_FPS
@@ -63,7 +71,8 @@ def read_npz_clip(path: Path, fps: float | None, progress: Progress | None = Non
     """
     with path.open("rb") as file, open_archive(file, path) as (archive, names):
         key, faces = _find(POINTS, names, path), _read_faces(archive, names, path)
-        file_fps = float(read_array(archive, "fps")) if "fps" in names else DEFAULT_FPS
+        if fps is None:
+            fps = rate_of(read_array(archive, "fps"), "fps", path) if "fps" in names else DEFAULT_FPS
         with archive.open(f"{key}.npy") as member:
             header = read_array_header(member)
             shape, dtype = header.shape, header.dtype
@@ -81,7 +90,7 @@ def read_npz_clip(path: Path, fps: float | None, progress: Progress | None = Non
                 frames = (points + moved for points, moved in zip(frames, offset.reshape(count, 1, 3), strict=True))
             stored = store_frames(frames, count, vertices, dtype if dtype.kind == "f" else np.float64, progress)
     first = stored[0].astype(np.float64) if count else np.zeros((vertices, 3))
-    return Clip(Mesh(first, faces, name=path.stem, up=_up(key)), stored, float(fps if fps is not None else file_fps))
+    return Clip(Mesh(first, faces, name=path.stem, up=_up(key)), stored, fps)
 
 
 def write_npz(mesh: Mesh, path: Path) -> None:

@@ -123,7 +123,7 @@ def read_obj(path: Path) -> Mesh:
     A part is a run of faces under one `o` or `g` and one `usemtl`. Six numbers after `v` are a point and its colour,
     sRGB-encoded, in 0..1 or, if any is above 1, in 0..255. The rest of the file (n-gons, lines, points, smoothing
     groups, comments, unknown statements) is kept in `source`. Missing values are filled in where others have them:
-    texture coordinates with (0, 0), normals with those of the vertex, colours with white.
+    texture coordinates with (0, 0), normals with those of the vertex, colours with white; a missing v is 0.
 
     Raises:
         InputError: a number or an index cannot be read or is out of range; the message has its line.
@@ -133,7 +133,7 @@ def read_obj(path: Path) -> Mesh:
     faces, uv_index, normal_index = (source.corners[triangles, k] for k in range(3))
     corner_uv = corner_normals = None
     if (uv_index >= 0).any():
-        uv = finite_or_zero(read_numbers(source.lines, source.uv_lines.tolist(), 1, 2, path))
+        uv = finite_or_zero(read_numbers(source.lines, source.uv_lines.tolist(), 1, 2, path, least=1))
         corner_uv = np.where(uv_index[..., None] >= 0, uv[uv_index], 0.0)
     if (normal_index >= 0).any():
         corner_normals = source.normals[normal_index]

@@ -1,7 +1,8 @@
 """Read and write PC2 point caches (.pc2): a header of 32 bytes, then all frames as little-endian float32.
 
 Faces come from a mesh file of the same name beside the cache, walk.obj for walk.pc2; without one the clip is a moving
-point cloud. The format has no frame rate.
+point cloud. The format has no frame rate: its samples are a number of frames apart, and frames are taken to last
+1 / DEFAULT_FPS seconds.
 """
 
 from __future__ import annotations
@@ -36,21 +37,22 @@ def read_cache(
     """Read a .pc2 file as a clip of the mesh beside it, or as a moving point cloud.
 
     Args:
-        fps: frames per second; 30 without.
+        fps: samples per second; None: 30 over the frames from one sample to the next, which are 1 in most files.
         suffixes: formats of meshes that `read` reads, likeliest first.
 
     Raises:
         InputError: the file is damaged or truncated, or the mesh beside it has another number of vertices.
     """
-    frames = _mapped_frames(path)
+    frames, step = _mapped_frames(path)
+    fps = fps or DEFAULT_FPS / step
     count, vertices = frames.shape[:2]
     mesh = _mesh_beside(path, vertices, suffixes, read)
     stored = store_frames(each_frame(frames), count, vertices, np.float32, progress)
     first = stored[0].astype(np.float64)
     if mesh is None:
-        return Clip(Mesh(first, np.zeros((0, 3), np.int64), name=path.stem), stored, fps or DEFAULT_FPS)
+        return Clip(Mesh(first, np.zeros((0, 3), np.int64), name=path.stem), stored, fps)
     # The points may have been written with other axes than those of the mesh file.
-    return Clip(dataclasses.replace(mesh.with_vertices(first), up=None), stored, fps or DEFAULT_FPS)
+    return Clip(dataclasses.replace(mesh.with_vertices(first), up=None), stored, fps)
 
 
 def write_pc2(clip: Clip, path: Path, progress: Progress | None = None) -> None:
@@ -62,8 +64,12 @@ def write_pc2(clip: Clip, path: Path, progress: Progress | None = None) -> None:
             file.write(points.astype("<f4").tobytes())
 
 
-def _mapped_frames(path: Path) -> Float[np.ndarray, "T V 3"]:
-    """Map the frames of a file into memory; raises InputError where its header is wrong or promises more."""
+def _mapped_frames(path: Path) -> tuple[Float[np.ndarray, "T V 3"], float]:
+    """Map the samples of a file into memory; returns them, and how many frames they are apart.
+
+    Raises:
+        InputError: the header is wrong or promises more than there is.
+    """
     with path.open("rb") as file:
         start = file.read(_HEADER.size)
     signature, version, points, _, step, count = _HEADER.unpack(start.ljust(_HEADER.size, b"\0"))
@@ -82,7 +88,7 @@ def _mapped_frames(path: Path) -> Float[np.ndarray, "T V 3"]:
             f"{path}: expected at least one frame with points, found {count} frames of {points}; export it again"
         )
     check_clip_size(count, points, path)
-    return np.memmap(path, "<f4", "r", _HEADER.size, (count, points, 3))
+    return np.memmap(path, "<f4", "r", _HEADER.size, (count, points, 3)), step
 
 
 def _mesh_beside(path: Path, vertices: int, suffixes: Sequence[str], read: Callable[[Path], Mesh]) -> Mesh | None:

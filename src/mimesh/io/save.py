@@ -20,9 +20,27 @@ from ..core.animated_rig import AnimatedRig
 from ..core.arguments import public
 from ..core.errors import InputError, NotInstalledError
 from ..core.frame_buffer import Progress
-from ..core.mesh import Clip, Mesh, RewritableSource, check_frames, check_numbers, check_timing, with_printable_names
+from ..core.mesh import (
+    Clip,
+    Mesh,
+    RewritableSource,
+    check_frames,
+    check_numbers,
+    check_single_precision,
+    check_timing,
+    with_printable_names,
+)
 from .atomic import scratch_folder, together, whole_file, writing
-from .formats import CACHE, CLIP_WRITERS, FRAME_SUFFIXES, JOINTED, MESH_WRITERS, found_suffix, gltf_file
+from .formats import (
+    CACHE,
+    CLIP_WRITERS,
+    FRAME_SUFFIXES,
+    JOINTED,
+    MESH_WRITERS,
+    found_suffix,
+    gltf_file,
+    in_single_precision,
+)
 from .load import load_mesh
 from .mtl import copy_companions
 from .obj import ObjSource
@@ -49,7 +67,8 @@ def save_mesh(mesh: Mesh, path: str | Path) -> None:
 
     Raises:
         InputError: a format that cannot be written, a path that cannot be written to, or a mesh with coordinates that
-            are not finite or with indices of vertices that it does not have.
+            are not finite, with indices of vertices that it does not have, or so far from the origin that nothing of it
+            is left in the single precision of the format.
 
     Example:
         >>> mimesh.save_mesh(mimesh.load_mesh("hero.glb"), "hero.ply")
@@ -66,6 +85,8 @@ def save_mesh(mesh: Mesh, path: str | Path) -> None:
             raise InputError(
                 f"{path}: expected an output in one of {' '.join(MESH_WRITERS)}, {found_suffix(path)}; name another"
             )
+        if in_single_precision(mesh, path):
+            check_single_precision(mesh, path)
         writer = MESH_WRITERS[path.suffix.lower()]
         with writing(path), together():
             writer(mesh, path)
@@ -100,6 +121,8 @@ def save_clip(clip: Clip, path: str | Path, *, suffix: str | None = None, progre
             f"{path}: expected a clip format ({' '.join(CLIP_WRITERS)}) or a folder, found '{path.suffix}'; "
             f"write {path.with_suffix('.glb').name}, or {path.stem} for a folder of one mesh per frame"
         )
+    if in_single_precision(clip.mesh, path):
+        check_single_precision(clip.mesh, path)
     mesh_path = _mesh_path_of_cache(clip, path) if path.suffix.lower() == CACHE else None
     with writing(path), together():
         CLIP_WRITERS[path.suffix.lower()](clip, path, progress)

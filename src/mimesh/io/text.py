@@ -72,9 +72,12 @@ def line_number(lines: Sequence[bytes], index: int) -> int:
 
 
 def read_numbers(
-    lines: Sequence[bytes], index: Sequence[int], skip: int, count: int, path: Path
+    lines: Sequence[bytes], index: Sequence[int], skip: int, count: int, path: Path, least: int | None = None
 ) -> Float[np.ndarray, "N C"]:
     """Read the `count` numbers after the first `skip` words of each of `lines[index]`.
+
+    Args:
+        least: lines with so many numbers get zeros for those that are left out; None: all must be there.
 
     Raises:
         InputError: a line has fewer numbers, or a word that is no number; the message has the line.
@@ -87,6 +90,8 @@ def read_numbers(
         except ValueError:
             pass
     rows = [line.split(None, last)[skip:last] for line in kept]
+    if least is not None:
+        rows = [row + [b"0"] * (count - len(row)) if len(row) >= least else row for row in rows]
     # All words are converted at once, which is much faster than line by line; only a failure looks for the line.
     try:
         values = np.array(list(map(float, chain.from_iterable(rows))), np.float64)
@@ -95,7 +100,8 @@ def read_numbers(
     except ValueError:
         pass
     if any(_WINDOWS_NAN.search(line) for line in kept):
-        return read_numbers([_WINDOWS_NAN.sub(b"nan", line) for line in kept], range(len(kept)), skip, count, path)
+        without = [_WINDOWS_NAN.sub(b"nan", line) for line in kept]
+        return read_numbers(without, range(len(kept)), skip, count, path, least)
     wrong = next(i for i, row in zip(index, rows, strict=True) if len(row) != count or not _are_numbers(row))
     found = lines[wrong].strip().decode("utf-8", "replace")[:60]
     raise damaged(path, f"{count} numbers in line {line_number(lines, wrong)}", repr(found))

@@ -14,7 +14,7 @@ import typer
 from ..commands.options import OutputOptions, Without, with_options
 from ..commands.terminal import Model, Stop, given_path, print_json, progress
 from ..core.options import declared
-from ..core.printable import say
+from ..core.printable import say, shell_line
 
 if TYPE_CHECKING:
     from .run import BatchResult
@@ -168,4 +168,5 @@ def print_summary(result: BatchResult, quiet: bool) -> None:
     for line in failed:
         say(f"failed: {line}")
     if not quiet:
-        say(f"table: {result.files['csv']}", f"facts: {result.files['json']}", f"next: open {result.files['csv']}")
+        table, facts = result.files["csv"], result.files["json"]
+        say(f"table: {table}", f"facts: {facts}", f"next: open {shell_line(table)}")

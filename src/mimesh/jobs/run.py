@@ -33,7 +33,7 @@ from ..core.arguments import public
 from ..core.errors import InputError, naming_options, option
 from ..core.printable import printable
 from ..core.system import ctrl_c_held, resident_memory, usable_cores
-from ..io.atomic import together, whole_file, writing
+from ..io.atomic import STEM_LENGTH, together, whole_file, writing
 from ..io.child_process import VARIABLES as LIBRARY_THREADS
 from ..io.formats import parts_beside
 from ..io.joint_file import side_file
@@ -58,6 +58,8 @@ FORMAT, VERSION = "mimesh job", 2
 WITHOUT_EFFECT = ("threads", "verbose", "no-clobber")
 """Options that do not change what is written."""
 TRACEBACK_LINES = 6
+LONGEST_NAME = 255
+"""Bytes of a file's name in the usual file systems."""
 
 
 @dataclass(frozen=True)
@@ -241,9 +243,12 @@ def _do_tasks(tasks: Sequence[BatchTask], outcomes: list[dict[str, Any]], worker
 
 
 def record_path(job: BatchJob) -> Path:
-    """Return the path of a job's record."""
+    """Return the path of a job's record; of a long name it has the beginning and a digest."""
     output = Path(job.output)
-    return output.with_name(f".{output.name}.job.json")
+    name = output.name
+    if len(os.fsencode(f".{name}.job.json")) > LONGEST_NAME:
+        name = f"{name[:STEM_LENGTH]}-{hashlib.blake2b(os.fsencode(name), digest_size=16).hexdigest()}"
+    return output.with_name(f".{name}.job.json")
 
 
 def fingerprint(job: BatchJob) -> str:

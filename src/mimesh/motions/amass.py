@@ -25,7 +25,7 @@ from jaxtyping import Float
 from ..bodies.sampling import rotvec_to_rotmat
 from ..core.budgets import FRAMES, POSED_JOINTS
 from ..core.errors import InputError, option
-from ..core.npz_archive import POINTS, open_archive, read_array
+from ..core.npz_archive import POINTS, open_archive, rate_of, read_array
 from .bvh import Bvh
 
 HEIGHT = 1.7
@@ -321,12 +321,10 @@ def _rows(values: np.ndarray, name: str, width: int, path: Path) -> Float[np.nda
 
 def _rate(arrays: dict[str, np.ndarray], path: Path) -> float:
     found = next((arrays[name] for name in RATES if name in arrays), np.array(DEFAULT_RATE))
-    with contextlib.suppress(ValueError):  # text, which some tools write
-        found = found.astype(np.float64) if found.size == 1 and found.dtype.kind in "US" else found
-    if found.size != 1 or found.dtype.kind not in "fiu" or not 0 < found.item() < np.inf:
-        wrong = f"{found.item()!r:.60}" if found.size == 1 else f"{found.dtype} {found.shape}"
-        raise InputError(f"{path}: expected a positive frame rate, found {wrong}; save one as mocap_framerate")
-    return float(found.item())
+    rate = rate_of(found, RATES[0], path)
+    if not 0 < rate < np.inf:
+        raise InputError(f"{path}: expected a positive frame rate, found {rate!r}; save one as {RATES[0]}")
+    return rate
 
 
 def upright(

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from ..core.arguments import described, public
 from ..core.errors import InputError
 from ..core.frame_buffer import Progress
-from ..core.mesh import Clip, Mesh
+from ..core.mesh import Clip, Mesh, far_note, is_far
 from ..core.options import FrameRange, Hints, ModelOptions, MotionOptions, needs_joints
 from ..methods.base import Method
 from ..methods.find import find_model, ordered_weights
@@ -81,7 +81,7 @@ def transfer(
         chosen.name,
         timer,
         moved.report,
-        moved.notes,
+        moved.notes + far_note(identity),
         identity,
         driving,
         moved.skeleton,
@@ -110,7 +110,8 @@ def animate(
 
     Args:
         identity: the mesh to move, or its path.
-        driving: the clip whose motion is taken, or its path.
+        driving: the clip whose motion is taken, or its path. Frames of a clip in memory are not copied: leave them
+            unchanged until the result is saved.
         model, hints, options: see `transfer`. Corrected joints of the driving are in its first frame, or in the frame
             that a file of them names; frames count from 0 in the whole clip.
         motion: how joints move.
@@ -141,9 +142,9 @@ def animate(
     known = _known(hints, chosen, clip, whole)
     with timer.step("prepare"):
         route = find_route(identity, clip, chosen, known, motion).with_refinement(options.refine)
-    moved = route.play(timer, motion, progress, np.float32)
+    moved = route.play(timer, motion, progress, np.float64 if is_far(identity) else np.float32)
     _name_axis_sources(moved.report, hints)
-    notes = clip.notes + moved.notes + far_frames_note(clip, clip.mesh.name)
+    notes = clip.notes + moved.notes + far_note(identity) + far_frames_note(clip, clip.mesh.name)
     if not isinstance(driving, Clip):
         notes += first_frame_note(clip, frames.start, Path(driving).name)
     if len(clip) == 1:

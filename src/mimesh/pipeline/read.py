@@ -44,8 +44,9 @@ Told = tuple[str | None, str | None, str]
 def read_mesh(mesh: Mesh | str | Path, role: str) -> Mesh:
     """Read a mesh, or check one in memory; see `_named`."""
     if isinstance(mesh, Mesh):
-        # A result is saved later: what the caller does with the array until then must not change it.
-        mesh = _named(dataclasses.replace(mesh, vertices=mesh.vertices.copy(), faces=mesh.faces.copy()), role)
+        # A result is saved later: what the caller does with the arrays until then must not change it.
+        own = {name: value.copy() for name, value in vars(mesh).items() if isinstance(value, np.ndarray)}
+        mesh = _named(dataclasses.replace(mesh, **own), role)
         return check_mesh(mesh, mesh.name)
     return load_mesh(Path(mesh))
 

@@ -288,8 +288,8 @@ class ClipResult(_Playable):
     mesh: Mesh
     """The identity in the first frame."""
     frames: LazyFrames
-    """The identity's vertices (V, 3) in each of T frames, in single precision. Those of models with joints are made
-    when they are asked for: `frames.at([0, 10])` makes two of them."""
+    """The identity's vertices (V, 3) in each of T frames, in single precision unless it is far from the origin (a note
+    tells). Those of models with joints are made when they are asked for: `frames.at([0, 10])` makes two of them."""
     fps: float
     """Frames a second."""
     model: str

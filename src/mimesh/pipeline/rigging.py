@@ -21,7 +21,7 @@ from ..bodies.joint_names import without_fingers
 from ..core.animated_rig import INFLUENCES, AnimatedRig
 from ..core.arguments import public
 from ..core.errors import InputError, option
-from ..core.mesh import Clip, Mesh
+from ..core.mesh import Clip, Mesh, far_note
 from ..core.options import Hints, Layout, check_influences
 from ..io import joints_file
 from ..io.beside import missing_images, missing_images_notes
@@ -230,7 +230,7 @@ def _rigged(mesh: Mesh, mime: Mime, known: Known, fingers: bool, timer: Timer) -
     elif character.confidence is not None:
         report |= character.confidence.facts()
         notes = character.confidence.notes(mesh.name, alone=True) + notes
-    notes += missing_images_notes(missing_images(mesh)) + (() if part is None else part.notes)
+    notes += missing_images_notes(missing_images(mesh)) + (() if part is None else part.notes) + far_note(whole)
     source = "file" if rigs.humanoid is not None else "corrected" if known.corrections.given else "found"
     shown, rest, roles = with_up(mesh, norm), character.rig_of_file(norm), character.roles
     if rigs.humanoid is not None:

@@ -13,11 +13,12 @@ from .. import io
 from ..core.animated_rig import RigAnimation
 from ..core.errors import InputError, option
 from ..core.frame_buffer import PosedFrames, Progress, part
-from ..core.mesh import Mesh, cut_clip, stored_clip
+from ..core.mesh import Mesh, cut_clip, far_note, stored_clip
 from ..core.normalization import parse_axis
 from ..core.options import ConvertOptions
+from ..core.printable import shell_line
 from ..io.beside import missing_images, missing_images_notes
-from ..io.formats import FRAMES_ONLY, JOINTED, MESH_WRITERS, MORPHED, MOTIONS
+from ..io.formats import FRAMES_ONLY, JOINTED, MESH_WRITERS, MORPHED, MOTIONS, in_single_precision
 from .driving import animations_note, read_clip
 from .notes import lying_note, not_kept, rate_note
 
@@ -61,7 +62,7 @@ def convert(
     if suffix == BONES_ONLY:
         raise InputError(
             f"{target}: expected a mesh or a clip to write, found {suffix}, which has bones alone; write it with "
-            f"mimesh animate CHARACTER {source.name} -o {target.name}"
+            + shell_line("mimesh", "animate", "CHARACTER", source.name, "-o", target.name)
         )
     holds_clip = suffix in (*io.clip_suffixes(), *MOVIES) or not suffix or target.is_dir()
     frames_as = None if options.frames_as is None else "." + options.frames_as.lstrip(".")
@@ -76,7 +77,7 @@ def convert(
     if suffix == ".vrm":
         raise InputError(
             f"{target}: expected a person with bones, an author and a licence for {suffix}, found none of them; write "
-            f"it with mimesh rig {source.name} -o {target.name} --author NAME --license URL"
+            f"it with {shell_line('mimesh', 'rig', source.name, '-o', target.name)} --author NAME --license URL"
         )
     # From mesh to mesh nothing is loaded as a clip, so that the file's own format can keep all its contents.
     has_rest = source.is_file() and source.suffix.lower() not in FRAMES_ONLY and options.body_model is None
@@ -114,7 +115,8 @@ def convert(
     clip = stored_clip(clip)
     write_clip(clip, target, frames_as, part(progress, 1, 2))
     notes += (
-        _bones_note(clip.mesh, source, target)
+        (far_note(clip.mesh) if in_single_precision(clip.mesh, target) else ())
+        + _bones_note(clip.mesh, source, target)
         + not_kept(clip.mesh, target)
         + lying_note(clip.mesh, target)
         + rate_note(clip.fps, target)
@@ -206,8 +208,11 @@ def _bones_note(mesh: Mesh, source: Path, target: Path) -> tuple[str, ...]:
         keeps = "without options for frames they are kept"
     else:
         kept = target.with_suffix(".glb").name
-        keeps = f"mimesh convert {source.name} {kept} keeps them" if kept != source.name else f"{kept} keeps them"
-        keeps += f", mimesh capture {source.name} writes the motion of bones" * bool(skins and animations)
+        converted = shell_line("mimesh", "convert", source.name, kept)
+        keeps = f"{converted if kept != source.name else kept} keeps them"
+        keeps += f", {shell_line('mimesh', 'capture', source.name)} writes the motion of bones" * bool(
+            skins and animations
+        )
     return (f"left out of {target.name}: {' and '.join(lost)}; {keeps}",)
 
 
@@ -227,6 +232,7 @@ def _at_rest_note(mesh: Mesh, source: Path, target: Path) -> tuple[str, ...]:
 
 def _write_mesh(mesh: Mesh, target: Path, frames: int = 1, notes: tuple[str, ...] = ()) -> Converted:
     io.save_mesh(mesh, target)
+    notes += far_note(mesh) if in_single_precision(mesh, target) else ()
     notes += not_kept(mesh, target) + lying_note(mesh, target)
     if frames > 1:
         notes += (f"{target.suffix} files hold one mesh: {target.name} is the first of {frames} frames",)

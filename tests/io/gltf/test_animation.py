@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import gltf_samples as samples
@@ -90,23 +91,38 @@ def test_channel_rotations_take_the_shorter_arc_and_have_unit_length():
 
 
 def test_frame_rate_is_that_of_the_keys():
-    def keys(times):
-        return [AnimationChannel(0, "scale", np.array(times), np.ones((len(times), 3)), "LINEAR")]
+    def keys(times, fps=None):
+        return [AnimationChannel(0, "scale", np.array(times), np.ones((len(times), 3)), "LINEAR", fps)]
 
     assert frame_rate(keys(np.arange(9) / 24)) == 24
     assert frame_rate(keys(np.arange(9) / 30)) == 30
     assert frame_rate(keys([0, 0.0171, 0.0533, 0.2019])) is None
     assert frame_rate(keys(np.arange(3) / 2)) == 24, "a curve of three keys"
     assert frame_rate(keys([0.0, 1 / 24, 3 / 24])) == 24, "a frame without a key"
+    assert frame_rate(keys(np.arange(3) / 2, 2.0)) == 2
+    assert frame_rate(keys([0.0, 0.4, 0.8], 2.0)) == 25, "keys that another program moved"
+    assert frame_rate(keys(np.arange(3) / 2, 2.0) + keys([0.0])) == 24, "of two animations one says nothing"
 
 
-@pytest.mark.parametrize(("frames", "fps"), [(2, 12.0), (2, 23.976), (13, 10.0), (13, 15.0), (13, 29.97), (13, 72.0)])
+@pytest.mark.parametrize("stated", [0, -5.0, 1e9, True, "5", None, [5.0]])
+def test_a_stated_rate_that_is_none_is_passed_over(stated, tmp_path):
+    mesh = zoo.cube()
+    save_clip(Clip(mesh, np.stack([mesh.vertices + [k, 0, 0] for k in range(3)]), 5.0), tmp_path / "a.gltf")
+    gltf = json.loads((tmp_path / "a.gltf").read_text())
+    gltf["animations"][0]["extras"]["mimesh"]["fps"] = stated
+    (tmp_path / "a.gltf").write_text(json.dumps(gltf))
+    assert load_clip(tmp_path / "a.gltf").fps == 25
+
+
+@pytest.mark.parametrize(
+    ("frames", "fps"), [(1, 7.0), (2, 5.0), (2, 23.976), (4, 0.5), (13, 7.3), (13, 15.0), (13, 29.97), (13, 72.0)]
+)
 def test_clip_keeps_frames_and_rate_when_written_and_read(fps, frames, tmp_path):
     mesh = zoo.cube()
     clip = Clip(mesh, np.stack([mesh.vertices + [np.sin(k), k * k, 0] for k in range(frames)]), fps)
     save_clip(clip, tmp_path / "a.glb")
     loaded = load_clip(tmp_path / "a.glb")
-    assert loaded.fps == pytest.approx(fps, rel=1e-4)
+    assert loaded.fps == (fps if frames > 1 else 30)
     np.testing.assert_allclose(loaded.vertices, clip.vertices, atol=1e-4)
 
 

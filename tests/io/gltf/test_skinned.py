@@ -95,13 +95,13 @@ def swinging(frames, fps, joints=6):
     return AnimatedRig(mesh, names, parents, rig, world @ rig.rotation, root)
 
 
-@pytest.mark.parametrize(("frames", "fps"), [(1, 30.0), (2, 30.0), (90, 30.0), (120, 60.0), (61, 24000 / 1001)])
+@pytest.mark.parametrize(("frames", "fps"), [(1, 30.0), (2, 30.0), (20, 2.5), (120, 60.0), (61, 24000 / 1001)])
 def test_a_file_has_the_frames_and_the_rate_of_the_clip(frames, fps, tmp_path):
     moving = swinging(frames, fps)
     write_gltf_skinned([RigAnimation("swing", moving, fps)], tmp_path / "a.glb")
     clip = load_clip(tmp_path / "a.glb")
     assert len(clip) == frames
-    assert frames < 3 or clip.fps == pytest.approx(fps, rel=1e-6)
+    assert clip.fps == fps
     assert moving.deviation(LazyFrames.stored(clip.vertices)) < 1e-6
     document = open_document(tmp_path / "a.glb")
     animation = document.gltf["animations"][0]

@@ -30,7 +30,15 @@ from ...core.mesh import Clip, Mesh, check_mesh
 from ...motions.on_body import first_frame, on_body
 from ..formats import gltf_file
 from ..timing import DEFAULT_FPS
-from .animation import frame_rate, frame_times, posed_vertices, sample_nodes, select_channels, unposed_vertices
+from .animation import (
+    frame_rate,
+    frame_times,
+    posed_vertices,
+    rate_extras,
+    sample_nodes,
+    select_channels,
+    unposed_vertices,
+)
 from .check import ARRAY_BUFFER, is_supported, list_primitives
 from .document import Document, open_document
 from .draft import Draft, Spool
@@ -260,4 +268,4 @@ def _morph_animation(draft: Draft, nodes: list[int], clip: Clip) -> dict[str, An
         "name": clip.mesh.name,
         "samplers": [{"input": times, "interpolation": "LINEAR", "output": values}],
         "channels": [{"sampler": 0, "target": {"node": node, "path": "weights"}} for node in nodes],
-    }
+    } | rate_extras(clip.fps)

@@ -17,6 +17,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, Int
 
+from ...core.arguments import HIGHEST_FPS, LOWEST_FPS
 from ...core.budgets import FRAMES, KEYS, POSED_JOINTS
 from ...core.errors import InputError, damaged, option
 from ...core.geometry import continuous_quaternions
@@ -38,6 +39,9 @@ LINEAR_COSINE = 0.9995
 
 STILL = 1e-6
 """Largest change of a unit quaternion that is not written: 2 micrometres at the end of a limb of a metre."""
+RATE = ("mimesh", "fps")
+"""Where the extras of an animation have its frame rate, if it has a key a frame: keys half a second apart alone do not
+tell frames from the few keys of a smooth curve."""
 PATH_WIDTHS = {"translation": 3, "rotation": 4, "scale": 3, "weights": 0}
 """Target paths and the numbers in one value of each; 0 for weights, which have one number for each morph target."""
 
@@ -55,6 +59,8 @@ class AnimationChannel:
     """Values at the keys; with CUBICSPLINE, rows are in-tangent, value, out-tangent, one after the other."""
     interpolation: str = "LINEAR"
     """STEP, LINEAR or CUBICSPLINE."""
+    fps: float | None = None
+    """Frames a second that the animation says it was written with (see `RATE`); None: it does not say."""
 
     @property
     def constant(self) -> bool:
@@ -92,8 +98,13 @@ class AnimationChannel:
         return slerp(a, b, s) if self.path == "rotation" else (1 - s) * a + s * b
 
 
-def add_animation(draft: Draft, name: str, channels: Iterable[AnimationChannel]) -> dict[str, Any]:
+def add_animation(
+    draft: Draft, name: str, channels: Iterable[AnimationChannel], fps: float | None = None
+) -> dict[str, Any]:
     """Add the keys of an animation to a document, as float32; channels with the same times share them.
+
+    Args:
+        fps: its frame rate, if it has a key a frame, for readers.
 
     Returns:
         The entry for `animations`.
@@ -110,7 +121,19 @@ def add_animation(draft: Draft, name: str, channels: Iterable[AnimationChannel])
         targets.append({"sampler": len(samplers), "target": {"node": channel.node, "path": channel.path}})
         input_times = times[seconds.tobytes()]
         samplers.append({"input": input_times, "interpolation": channel.interpolation, "output": output})
-    return {"name": name, "samplers": samplers, "channels": targets}
+    return {"name": name, "samplers": samplers, "channels": targets} | rate_extras(fps)
+
+
+def rate_extras(fps: float | None) -> dict[str, Any]:
+    """Return what tells the frame rate in an animation's entry; nothing for None."""
+    return {} if fps is None else {"extras": {RATE[0]: {RATE[1]: float(fps)}}}
+
+
+def _stated_rate(entry: dict[str, Any]) -> float | None:
+    found: Any = entry
+    for key in ("extras", *RATE):
+        found = found.get(key) if isinstance(found, dict) else None
+    return float(found) if type(found) in (int, float) and LOWEST_FPS <= found <= HIGHEST_FPS else None
 
 
 def rotation_channels(
@@ -223,7 +246,7 @@ def _read_channels(document: Document, animation: int) -> list[AnimationChannel]
         for channel in entry["channels"]:
             target = channel["target"]
             if target["path"] in PATH_WIDTHS and target.get("node") is not None:
-                read = _read_channel(document, target, entry["samplers"][channel["sampler"]])
+                read = _read_channel(document, target, entry["samplers"][channel["sampler"]], _stated_rate(entry))
                 numbers += read.times.size + read.values.size
                 KEYS.check(numbers, document.path, len(document.binary))
                 if read.path != "weights" or scene.target_count(document, read.node):
@@ -273,17 +296,23 @@ def select_channels(document: Document, selector: str | None) -> list[AnimationC
 def frame_rate(channels: list[AnimationChannel]) -> float | None:
     """Estimate the frames a second of an animation from its key times; None where they fit no usual rate.
 
+    A rate that the animation states is taken where the keys lie on its frames: another program may have moved them.
     Evenly spaced keys of at least the lowest usual rate are taken as one key a frame. Sparser keys are those of a curve
     that was drawn at a usual rate: then all keys lie on whole frames of it.
     """
     times = np.unique(np.concatenate([channel.times for channel in channels] or [np.zeros(0)]))
+    stated = {channel.fps for channel in channels}
+    if len(stated) == 1 and (fps := stated.pop()) is not None and lie_on(times, fps):
+        return fps
     rate = sample_rate(times)
     if rate is not None and rate >= min(RATES) and lie_on(times, rate):
         return rate
     return usual_rate(times)
 
 
-def _read_channel(document: Document, target: dict[str, Any], sampler: dict[str, Any]) -> AnimationChannel:
+def _read_channel(
+    document: Document, target: dict[str, Any], sampler: dict[str, Any], fps: float | None
+) -> AnimationChannel:
     """Read and check the keys of a sampler for one target."""
     times, values = (read_floats(document, sampler[key]) for key in ("input", "output"))
     interpolation = sampler.get("interpolation", "LINEAR")
@@ -303,7 +332,7 @@ def _read_channel(document: Document, target: dict[str, Any], sampler: dict[str,
     # Sketchfab's exporter rounds times of 60 Hz to 30 Hz: of keys at one time the last one counts.
     last = np.append(np.diff(times) > 0, True)[:keys]
     values = values.reshape(keys, per_key)[last]
-    return AnimationChannel(target["node"], target["path"], times[last], values, interpolation)
+    return AnimationChannel(target["node"], target["path"], times[last], values, interpolation, fps)
 
 
 def slerp(

@@ -237,7 +237,12 @@ def _new_entries(animations: Sequence[OwnAnimation], tracks: Sequence[Tracks], d
     used = dict.fromkeys([*(key for values in tracks for key in values), *_animated_values(document)])
     still = {key: node_value(draft.gltf["nodes"][key[0]], key, document) for key in used}
     return [
-        add_animation(draft, animation.name, _channels(animation, {key: values.get(key, still[key]) for key in used}))
+        add_animation(
+            draft,
+            animation.name,
+            _channels(animation, {key: values.get(key, still[key]) for key in used}),
+            animation.fps,
+        )
         for animation, values in zip(animations, tracks, strict=True)
         if used
     ]

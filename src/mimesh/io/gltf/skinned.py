@@ -67,7 +67,7 @@ def write_gltf_skinned(animations: Sequence[RigAnimation], path: Path, animated:
             channels = rotation_channels(joint_nodes, moved.rotation, moved.parents, fps)
             for j, way in _moved_joints(moved).items():
                 channels.append(AnimationChannel(joint_nodes[j], "translation", np.arange(len(way)) / fps, way))
-            draft.gltf["animations"].append(add_animation(draft, animation.name, channels))
+            draft.gltf["animations"].append(add_animation(draft, animation.name, channels, fps))
     draft.save(path)
 
 
@@ -199,7 +199,7 @@ def joint_animation(
 ) -> dict[str, Any]:
     """Add an animation of all joints: world rotations since rest, and the path of the root in every frame."""
     path = AnimationChannel(0, "translation", np.arange(len(root)) / fps, root)
-    return add_animation(draft, name, [path, *rotation_channels(range(len(parents)), rotation, parents, fps)])
+    return add_animation(draft, name, [path, *rotation_channels(range(len(parents)), rotation, parents, fps)], fps)
 
 
 def _joint_nodes(
