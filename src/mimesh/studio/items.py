@@ -74,7 +74,7 @@ def parse_rate(value: Any) -> float | None:
     advice = "leave it empty for the file's own"
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError(f"frame rate: expected a number, found {value!r}; {advice}")
-    check_rate(value, "frame rate", advice)
+    check_rate(float(value), "frame rate", advice)
     return float(value)
 
 
