@@ -141,15 +141,21 @@ def find_part(mesh: Mesh, name: str | None, asked: str = "part") -> MeshPart | N
     """Find the part of a mesh that is meant; None: all of it.
 
     Args:
-        name: of a part, or of a node above some; None: what joints carry, in a file with the rig of a character.
+        name: of a part, or of a node above some; one with a skin stands for all that its joints move. None: what joints
+            carry, in a file with the rig of a character.
         asked: the option that names it.
 
     Raises:
         InputError: no such part, or nobody says which of several characters is meant.
     """
-    if name is not None:
-        return _cut(mesh, _named(mesh, name, asked))
     source = _gltf_source(mesh)
+    if name is not None:
+        chosen = _named(mesh, name, asked)
+        if source is not None:
+            from ..io.gltf.parts import with_skeleton
+
+            chosen = with_skeleton(mesh, chosen)
+        return _cut(mesh, chosen)
     if source is None:
         return _without_base(mesh, asked)
     from ..io.gltf.parts import characters, static_parts
