@@ -82,6 +82,9 @@ def test_static_parts_stay_and_the_rig_is_used(model, driving, tmp_path):
     alone = animate(str(rigs.character(tmp_path / "alone.glb", 1)), str(driving), model)
     moved = animate(str(scene), str(driving), model)
     assert moved.report["rig"] == "own"
+    said = "scene has parts that no joint and no animation moves, which stay where they are: pedestal, statue"
+    assert [note for note in moved.notes if note not in alone.notes] == [said]
+    assert said not in animate(str(driving), str(scene), model).notes
     count, rest = len(alone.mesh.vertices), load_mesh(scene).vertices
     assert moved.clip.vertices.shape == (6, len(rest), 3)
     np.testing.assert_allclose(moved.clip.vertices[:, :count], alone.clip.vertices, atol=1e-5)

@@ -8,6 +8,7 @@ by itself.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -172,7 +173,11 @@ def find_part(mesh: Mesh, name: str | None, asked: str = "part") -> MeshPart | N
         part = _cut(mesh, ~static)
         facts = rig_facts(part.mesh)
         if facts is not None and facts.used:
-            return part
+            names = listed(
+                list(dict.fromkeys(part.name for part in itertools.compress(mesh.parts, static))), MOST_NAMED
+            )
+            note = f"{mesh.name} has parts that no joint and no animation moves, which stay where they are: {names}"
+            return dataclasses.replace(part, notes=(note,) if asked == "part" else ())
     return None if source.document.gltf.get("skins") else _without_base(mesh, asked)
 
 
