@@ -92,7 +92,7 @@ def scene(session: Session) -> dict[str, Any]:
 
 
 class KeptScene:
-    """What the stage of a session shows, encoded, until it shows another scene: a page that is reloaded has it at once."""
+    """What the stage of a session shows, encoded, until it shows another scene: pages that are reloaded wait once."""
 
     def __init__(self, session: Session) -> None:
         self._session, self._lock = session, threading.Lock()

@@ -184,7 +184,7 @@ def main():
 
 
 def reason(error):
-    """Return the type and the message of an error; those of an operator have a traceback, and say where it was called."""
+    """Return the type and message of an error; those of an operator have a traceback, and say where it was called."""
     lines = [line for line in str(error).splitlines() if line.strip() and not line.startswith(("Location:", " "))]
     return lines[-1].strip() if lines else type(error).__name__
 

@@ -87,7 +87,7 @@ def with_skeleton(mesh: Mesh, chosen: Bool[np.ndarray, " P"]) -> Bool[np.ndarray
 
 
 def _root_joints(mesh: Mesh) -> Int[np.ndarray, " P"]:
-    """Return the topmost joint of the skeleton that moves each part, by its skin or as a node below a joint; -1: none."""
+    """Return the topmost joint of the skeleton that moves each part, by a skin or from above its node; -1: none."""
     source = cast(GltfSource, mesh.source)
     document, parents = source.document, node_parents(source.document)
     every = {joint for skin in document.gltf.get("skins", []) for joint in skin["joints"]}
