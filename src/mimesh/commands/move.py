@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shlex
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -347,7 +348,7 @@ def _write_previews(
         for number, (result, title) in enumerate(zip(results, titles, strict=True))
     ]
     if output.preview and len(results) > SHOWN_CLIPS:
-        command = f"mimesh render {target.name} -o NAME.html --animation NAME"
+        command = f"mimesh render {shlex.quote(str(target))} -o NAME.html --animation NAME"
         note = f"pictures and pages are of the first {SHOWN_CLIPS} of {len(results)} clips; {command} shows another"
         shown = [{**paths, "notes": (*paths["notes"], note)} for paths in shown]
     if output.open:
