@@ -4,6 +4,7 @@ import base64
 import contextlib
 import threading
 
+import gltf_samples as samples
 import numpy as np
 import pygltflib
 import pytest
@@ -78,6 +79,27 @@ def wait_and_pause(page):
         "() => mimesh.live.state?.scene === document.documentElement.dataset.scene && !mimesh.live.loading"
     )
     page.evaluate("() => mimesh.controls.pause()")
+
+
+def test_a_scene_that_loads_and_an_animation_that_is_taken_are_told(fresh, files, tmp_path):
+    """Of a long clip the scene takes seconds to come, in which the stage of a page that was opened again is empty."""
+    page, sample = fresh.page, samples.hero()
+    (walking,) = sample.gltf["animations"]
+    sample.gltf["animations"] = [{**walking, "name": "Walk"}, {**walking, "name": "Run"}]
+    choose(page, "driving", sample.glb(tmp_path / "moves.glb"))
+    page.wait_for_selector("#driving .note:has-text('moves.glb has 2 animations: the first, Walk, is taken')")
+    wait_and_pause(page)
+    held = []
+    page.route("**/api/scene", lambda route: held.append(route))
+    page.reload()
+    page.wait_for_selector("#loading:not([hidden])")
+    page.wait_for_selector("#doing:has-text('loading the scene')")
+    (route,) = held
+    route.continue_()
+    page.unroute("**/api/scene")
+    wait_and_pause(page)
+    assert page.query_selector("#loading").is_hidden()
+    assert page.query_selector("#doing").is_hidden()
 
 
 def changed_pixels(before, after):

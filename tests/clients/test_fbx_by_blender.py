@@ -14,7 +14,7 @@ from engine_rigs import moving_rig
 from gltf_samples import Sample, box, png, props
 from people import person, walk
 from PIL import Image
-from rigs import character
+from rigs import character, exercise, figure, quantized
 from scipy.spatial import cKDTree
 
 import mimesh
@@ -134,6 +134,23 @@ def test_root_bone_and_new_names_on_an_own_rig(tmp_path):
     for suffix in ("glb", "fbx"):
         result.save_skinned(tmp_path / f"a.{suffix}", names="unreal", root_bone=True)
     compare(tmp_path / "a.glb", tmp_path / "a.fbx", ("root", "pelvis", "thigh_l", "hand_r", "head"))
+
+
+def test_quantized_character_without_its_images(tmp_path):
+    """Blender's importer removes bones that are far from the origin, and fails at images that are not there."""
+
+    def gone(draft):
+        gloss = {"specularGlossinessTexture": {"index": 0}}
+        draft.gltf |= {"images": [{"uri": "gone.tga"}], "textures": [{"source": 0}]}
+        draft.gltf["materials"] = [{"extensions": {"KHR_materials_pbrSpecularGlossiness": gloss}}]
+        for primitive in draft.gltf["meshes"][0]["primitives"]:
+            primitive["material"] = 0
+
+    clips = {"move": exercise(figure(), 4)}
+    plain = character(tmp_path / "plain.glb", faces=600, clips=clips, frames=2, change=gone)
+    path = quantized(plain, tmp_path / "hero.glb", 1e-6)
+    save_whole(path, tmp_path / "a.fbx")
+    compare(path, tmp_path / "a.fbx", figure().names)
 
 
 def test_pose_of_an_own_rig(tmp_path):

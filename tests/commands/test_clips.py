@@ -108,8 +108,9 @@ def test_only_the_first_of_many_clips_get_pictures_and_pages(files, call):
     assert report["pictures"] == [str(files / f"{name}.png") for name in names]
     assert {path.name for path in files.glob("many*.html")} == {f"{name}.html" for name in names}
     assert [note for note in report["notes"] if note.startswith("pictures and pages are of the first 3 of 5 clips; ")]
-    text = animate(files, call, *["walk.glb"] * 5, "-o", "many.glb", "--stop", "2").out
-    assert text.count("\nnote: pictures and pages are of the first 3 of 5 clips; ") == 1
+    text = animate(files, call, *["walk.glb"] * 5, "-o", "out/many.glb", "--stop", "2").out
+    command = f"mimesh render {files / 'out' / 'many.glb'} -o NAME.html --animation NAME shows another\n"
+    assert text.count(f"\nnote: pictures and pages are of the first 3 of 5 clips; {command}") == 1
     report = written(files, call, *["walk.glb"] * 5, "-o", "none.glb", "--stop", "2", "--no-preview")["report"]
     assert not [note for note in report["notes"] if note.startswith("pictures")]
 

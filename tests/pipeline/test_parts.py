@@ -58,6 +58,20 @@ def with_second(draft: Draft) -> None:
     draft.gltf["scenes"][0]["nodes"].append(len(nodes) - 1)
 
 
+def with_gear(draft: Draft) -> None:
+    """Add a second character, and to the first a coat with the same skin and a box in the left hand."""
+    with_second(draft)
+    nodes, meshes = draft.gltf["nodes"], draft.gltf["meshes"]
+    body = next(node for node in nodes if "mesh" in node)
+    meshes.append({**meshes[body["mesh"]], "name": "coat"})
+    positions = draft.add_floats(0.001 * CORNERS, 34962, bounds=True)
+    meshes.append({"primitives": [{"attributes": {"POSITION": positions}, "indices": draft.add_indices(BASE)}]})
+    hand = next(node for node in nodes if node.get("name") == "LeftHand")
+    hand["children"] = [*hand.get("children", []), len(nodes) + 1]
+    nodes += [{**body, "name": "coat", "mesh": len(meshes) - 2}, {"name": "sword", "mesh": len(meshes) - 1}]
+    draft.gltf["scenes"][0]["nodes"].append(len(nodes) - 2)
+
+
 @pytest.fixture(scope="module")
 def driving(tmp_path_factory) -> Path:
     return rigs.of_kind(tmp_path_factory.mktemp("driving") / "move.glb", "T-pose")[0]
@@ -68,6 +82,9 @@ def test_static_parts_stay_and_the_rig_is_used(model, driving, tmp_path):
     alone = animate(str(rigs.character(tmp_path / "alone.glb", 1)), str(driving), model)
     moved = animate(str(scene), str(driving), model)
     assert moved.report["rig"] == "own"
+    said = "scene has parts that no joint and no animation moves, which stay where they are: pedestal, statue"
+    assert [note for note in moved.notes if note not in alone.notes] == [said]
+    assert said not in animate(str(driving), str(scene), model).notes
     count, rest = len(alone.mesh.vertices), load_mesh(scene).vertices
     assert moved.clip.vertices.shape == (6, len(rest), 3)
     np.testing.assert_allclose(moved.clip.vertices[:, :count], alone.clip.vertices, atol=1e-5)
@@ -97,6 +114,24 @@ def test_several_characters_are_named_and_one_can_be_taken(model, driving, tmp_p
     assert np.median(taken.mesh.vertices[:, 0]) == pytest.approx(2, abs=0.05)
     captured = mimesh.capture(str(scene), model, hints=Hints(part="twin"))
     assert captured.root[0, 0] == pytest.approx(2, abs=0.05)
+
+
+def test_a_mesh_of_a_character_stands_for_all_that_its_joints_move(model, driving, tmp_path):
+    scene = rigs.character(tmp_path / "scene.glb", 1, change=with_gear)
+    rest = load_mesh(scene)
+    span = {part.name: np.unique(rest.faces[part.start : part.stop]) for part in rest.parts}
+    assert {"coat", "sword"} <= span.keys()
+    moved = animate(str(scene), str(driving), model, hints=Hints(part="coat"))
+    assert np.ptp(moved.clip.vertices[:, span["sword"]], axis=0).min() > 0.01
+    moved.save_skinned(tmp_path / "out.glb")
+    np.testing.assert_allclose(load_clip(tmp_path / "out.glb").vertices, moved.clip.vertices, atol=2e-5)
+    person, coat, sword = (find_part(rest, name) for name in ("armature 1", "coat", "sword"))
+    assert person is not None
+    assert coat is not None
+    assert sword is not None
+    assert set(person.index) == set(coat.index)
+    assert set(span["sword"]) < set(coat.index)
+    assert len(sword.index) == len(CORNERS)
 
 
 def test_a_part_of_any_file_is_moved_and_written(model, tmp_path):

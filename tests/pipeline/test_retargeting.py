@@ -67,6 +67,17 @@ def test_what_other_processes_send_is_the_same(captured):
     np.testing.assert_array_equal(followed.clip.vertices, moved.clip.vertices)
 
 
+def test_what_the_capture_has_said_of_the_clip_is_said_once():
+    """With the options of `capture`: those of `animate` on the driving are none here."""
+    clip = walk(faces=600)
+    thin = mimesh.Clip(clip.mesh, clip.vertices * [0.3, 1, 0.3], clip.fps)
+    captured = mimesh.capture(thin)  # which looks like an animal, and may face anywhere
+    assert sum("uncertain" in note or "limbs were not found" in note for note in captured.notes) == 2
+    moved = mimesh.retarget(captured, mimesh.rig(animal("cow")))
+    assert [note for note in moved.notes if "walk" in note] == [note for note in captured.notes if "walk" in note]
+    assert not any("driving_front" in note for note in moved.notes)
+
+
 def test_filters_of_capture_and_retarget_add_up(captured):
     """Two Gaussian filters are one, whose variance is the sum of theirs."""
     rigged, clip = mimesh.rig(person(0)), walk(faces=600)

@@ -1,18 +1,22 @@
 """The studio's server: access control, uploads and their limits, errors, and exports."""
 
+import contextlib
+import dataclasses
 import io
 import json
 import zipfile
 
+import gltf_samples as samples
 import numpy as np
 import pytest
-from people import person
+from people import person, walk
 from studio_client import HOST, PORT, TOKEN
-from waiting import wait_until
+from waiting import finished, wait_until
 
-from mimesh import load_mesh, save_mesh, transfer
+from mimesh import load_mesh, save_clip, save_mesh, transfer
 from mimesh.core.errors import InputError
-from mimesh.studio import make_session
+from mimesh.studio import make_session, state
+from mimesh.view.pack import pack_scene
 
 LIMIT = 2**20
 TRIANGLE = b"v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n"
@@ -289,6 +293,42 @@ def test_results_are_exported(session, client, tmp_path):
     client.post("/api/exports", json={"suffix": "/../../evil.obj"})
     assert "format: expected" in wait_until_idle(client)["exports"][-1]["error"]
     assert client.get("/api/scene").json()["scene"]["format"] == "mimesh-scene"
+
+
+def test_the_scene_is_encoded_once_and_shows_30_frames_a_second(tmp_path, visit, monkeypatch):
+    """A capture has 120 as a rule: four times the time and the size, for what a screen does not show."""
+    packed = []
+    monkeypatch.setattr(
+        state, "pack_scene", lambda *args, **more: packed.append(pack_scene(*args, **more)) or packed[-1]
+    )
+    save_mesh(person(0), tmp_path / "hero.obj")
+    save_clip(dataclasses.replace(walk(frames=9), fps=120.0), tmp_path / "walk.npz")
+    session = make_session([tmp_path / "hero.obj", tmp_path / "walk.npz"], 2**20, "copy")
+    with contextlib.closing(session):
+        client = visit(session)
+        wait_until_idle(client)
+        first, again = (client.get("/api/scene") for _ in range(2))
+        assert first.headers["content-type"] == "application/json"
+        assert first.content == again.content
+        assert len(packed) == 1
+        assert [(panel["frames"], panel["fps"]) for panel in first.json()["scene"]["panels"][1:]] == 2 * [(3, 30.0)]
+        assert len(finished(session).outcome.result.frames) == 9
+        session.set_item(session.driving.number, {"fps": 60})
+        wait_until_idle(client)
+        frames = [panel["frames"] for panel in client.get("/api/scene").json()["scene"]["panels"]]
+        assert (frames, len(packed)) == ([1, 5, 5], 2)
+
+
+def test_a_driving_file_of_several_animations_says_which_is_taken(tmp_path, visit):
+    sample = samples.hero()
+    (walking,) = sample.gltf["animations"]
+    sample.gltf["animations"] = [{**walking, "name": "Walk"}, {**walking, "name": "Run"}]
+    session = make_session([sample.glb(tmp_path / "moves.glb"), sample.glb(tmp_path / "moves.glb")], 2**20, "copy")
+    with contextlib.closing(session):
+        driving = wait_until_idle(visit(session))["driving"]
+        assert driving["notes"] == ["moves.glb has 2 animations: the first, Walk, is taken; animation takes another"]
+        session.set_item(session.driving.number, {"animation": "Run"})
+        assert wait_until_idle(visit(session))["driving"]["notes"] == []
 
 
 def test_removing_meshes_deletes_their_upload(session, client):

@@ -18,9 +18,11 @@ from mimesh.bodies import load_body
 from mimesh.bodies.sampling import sample_shape
 from mimesh.bodies.skinned_character import SkinnedCharacter
 from mimesh.io import load_mesh
-from mimesh.io.gltf.draft import Draft
+from mimesh.io.gltf.document import open_document, read_accessor
+from mimesh.io.gltf.draft import AccessorCopier, Draft
 from mimesh.io.gltf.edit import GltfSource
 from mimesh.io.gltf.read import rig_on_nodes, skin_joints
+from mimesh.io.gltf.scene import read_inverse_bind_matrices
 
 ARMATURE = np.array([[100.0, 0, 0, 0], [0, 0, 100.0, 0], [0, -100.0, 0, 0], [0, 0, 0, 1]])
 """T_world_armature of a z-up armature in hundredths of a unit."""
@@ -135,6 +137,21 @@ def exercise(
         )
         for t in range(1, frames + 1)
     ]
+
+
+def quantized(character: Path, path: Path, unit: float) -> Path:
+    """Write the skinned mesh of a file in another unit, as optimizers do, with the skeleton named; returns `path`."""
+    document = open_document(character)
+    draft = AccessorCopier(document, whole=True).draft
+    for mesh in draft.gltf["meshes"]:
+        for primitive in mesh["primitives"]:
+            points = read_accessor(document, primitive["attributes"]["POSITION"])
+            primitive["attributes"]["POSITION"] = draft.add_floats(points / unit, 34962, bounds=True)
+    for number, skin in enumerate(draft.gltf["skins"]):
+        bound = read_inverse_bind_matrices(document, number) @ np.diag([unit, unit, unit, 1.0])
+        skin |= {"inverseBindMatrices": draft.add_matrices(bound), "skeleton": min(skin["joints"])}
+    draft.save(path)
+    return path
 
 
 def posed(person: Figure, frame: np.ndarray, rest: np.ndarray | None = None, faces: int = 300) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 import dataclasses
 
+import gltf_samples as samples
 import numpy as np
 import pytest
 import zoo
@@ -42,3 +43,32 @@ def test_chosen_frames_of_driving_files_have_the_notes_of_the_whole(tmp_path):
             with pytest.raises(InputError, match="which leaves none"):
                 read_driving(chosen, None, None, slice(500, None, 1), whole=every)
     assert not any("frame 0 differs" in note for note in read_driving(chosen, None, None, slice(1, 3, 1))[1])
+
+
+def test_animations_that_are_taken_together_are_no_alternatives(tmp_path):
+    """Blender writes one animation for each object that moves: bones and blend shapes of one action are two."""
+    sample = samples.hero()
+    walking = {**sample.gltf["animations"][0], "name": "Walk"}
+    moved = {channel["target"]["node"] for channel in walking["channels"]}
+    others = [node for node in range(len(sample.gltf["nodes"])) if node not in moved][:2]
+    face, tail = (
+        {**walking, "name": name, "channels": [{"target": {"node": node, "path": "rotation"}, "sampler": 0}]}
+        for name, node in zip(("Face", "Tail"), others, strict=True)
+    )
+    found = {}
+    for name, animations in {
+        "one": [walking],
+        "together": [walking, face, tail],
+        "second": [walking, {**walking, "name": "Run"}],
+        "third": [walking, {**walking, "name": "Run"}, face],
+    }.items():
+        sample.gltf["animations"] = animations
+        path = sample.glb(tmp_path / f"{name}.glb")
+        notes = read_driving(DrivingClip(path, None, name), None, None, slice(0, None, 1))[1]
+        found[name] = [note.partition(";")[0] for note in notes if "animations" in note]
+    assert found == {
+        "one": [],
+        "together": [],
+        "second": ["second.glb has 2 animations: the first, Walk, is taken"],
+        "third": ["third.glb has 3 animations: Walk, Face are taken"],
+    }

@@ -13,6 +13,7 @@ from people import person, walk
 import mimesh
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip, Material, Mesh, Part
+from mimesh.io.beside import missing_images_notes
 from mimesh.tools.convert import convert
 from mimesh.tools.inspect import facts_of, inspect_file
 
@@ -185,6 +186,21 @@ def test_missing_images_are_a_warning_also_with_a_rig(tmp_path):
     assert texts[0].startswith("red wall.png, which the file names, is not beside it: ")
     notes = convert(tmp_path / "a.obj", tmp_path / "a.ply").notes
     assert any(note.startswith("red wall.png, which the file names") for note in notes)
+
+
+def test_notes_show_the_names_of_missing_images():
+    """Paths of another machine are cut, at their beginning; those below the file's folder say where to put them."""
+    long, odd = "..\\..\\temp\\Humans\\without_opacity_version\\textures\\m023_body_color.tga", "x" * 100 + ".png"
+    for name, shown in {
+        long: "m023_body_color.tga",
+        "C:/maps/red wall.png": "red wall.png",
+        "/home/a/skin.jpg": "skin.jpg",
+        "maps/skin.png": "maps/skin.png",
+        odd: "x" * 76 + ".png",
+    }.items():
+        assert missing_images_notes([name])[0].startswith(f"{shown}, which the file names, is not beside it")
+    (note,) = missing_images_notes(["C:\\a\\skin.png", "D:\\b\\skin.png"])
+    assert note.startswith("skin.png, which the file names, is not beside it")
 
 
 @pytest.mark.slow

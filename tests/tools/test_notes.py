@@ -1,6 +1,7 @@
 """Notes on written files, and on the pose that was taken of a moving one."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -44,6 +45,9 @@ def test_a_person_in_centimetres_without_a_unit_is_noted_in_formats_in_metres(tm
     assert noted in convert(tmp_path / "man.obj", tmp_path / "man.glb").notes
     mesh = load_mesh(tmp_path / "man.obj")
     assert not_kept(mesh, tmp_path / "man.glb", "human") == (noted,)
+    assert not_kept(mesh, tmp_path / "man.usdc", "human")[0] == noted.replace(".glb", ".usdc")
+    in_centimetres = dataclasses.replace(mesh, source=SimpleNamespace(suffix=".usda", meters_per_unit=0.01))
+    assert not any("metres" in note for note in not_kept(in_centimetres, tmp_path / "man.usdc", "human"))
     assert not_kept(mesh, tmp_path / "man.glb", "other") == not_kept(mesh, tmp_path / "man.ply") == ()
     of_animals = {size: not_kept(mesh.with_vertices(size / 182.5 * mesh.vertices), tmp_path / "a.glb", "quadruped")
                   for size in (1.5, 120, 1200)}  # fmt: skip

@@ -164,7 +164,8 @@ export class Joints {
       const positions = this.positions(role);
       if (!positions) continue;
       const frame = this.found.meshes[this.item(role).number].frame;
-      svg.toggleAttribute("hidden", view.panel.frames > 1 && Math.abs(this.stage.time * view.panel.fps - frame) > 0.5);
+      const away = Math.abs(this.stage.time - frame / this.state.driving.fps); // the stage may show fewer frames a second
+      svg.toggleAttribute("hidden", view.panel.frames > 1 && away * view.panel.fps > 0.5);
       const names = [...circles.keys()];
       const at = new Map(this.stage.project(view, names.map((name) => positions[name])).map((xy, k) => [names[k], xy]));
       const corrected = this.corrected(role);

@@ -3,8 +3,9 @@
 import { call, fetchPose } from "./server.js";
 
 export class Live {
-  constructor(stage, controls, failed) {
-    Object.assign(this, { stage, controls, failed, key: "", numbers: [], state: null, requests: new Map() });
+  constructor(stage, controls, failed, loadingChanged) {
+    Object.assign(this, { stage, controls, failed, loadingChanged, loading: false });
+    Object.assign(this, { key: "", numbers: [], state: null, requests: new Map() });
     stage.addEventListener("time", () => this.follow());
   }
 
@@ -17,7 +18,7 @@ export class Live {
   }
 
   async load() {
-    this.loading = true;
+    this.setLoading(true);
     try {
       while (this.state.scene !== this.key) {
         const { key, numbers, scene } = await call("GET", "/api/scene");
@@ -33,8 +34,13 @@ export class Live {
     } catch (error) {
       this.failed(error.message);
     } finally {
-      this.loading = false;
+      this.setLoading(false);
     }
+  }
+
+  setLoading(loading) {
+    this.loading = loading;
+    this.loadingChanged();
   }
 
   /** Whether the shown result of a mesh is not being computed again. */

@@ -35,7 +35,7 @@ export function meshRow(row, mesh, act) {
     showProgress(bar, now);
     stop.hidden = outcome?.state !== "moving" || outcome.done === 0 || outcome.done > 0.98;
     showError(error, now.error || outcome?.error || "");
-    const lines = [...correctionLines(now), ...(outcome?.notes ?? [])];
+    const lines = [...correctionLines(now), ...(now.notes ?? []), ...(outcome?.notes ?? [])];
     const text = lines.join("\n");
     if (notes.dataset.text !== text) {
       notes.dataset.text = text;

@@ -128,10 +128,11 @@ function start() {
   if (document.createElement("canvas").getContext("webgl2")) {
     const stage = new Stage(element("stage"));
     const controls = new Controls(stage, { top: element("top"), bottom: element("bottom") });
-    live = new Live(stage, controls, (message) => {
+    const failed = (message) => {
       stageError = message; // "" when it works again
       showProblems();
-    });
+    };
+    live = new Live(stage, controls, failed, () => showWork());
     joints = new Joints(stage, controls, live, (number, action) => attempt(sectionWith(number), action));
     window.mimesh = { stage, controls, live, joints };
   } else {
@@ -157,11 +158,15 @@ function start() {
     setUpDemoMenu("driving", "motion", "animal_motions"),
   ];
 
+  const showWork = () => {
+    showText(element("doing"), currentWork() || (live?.loading ? "loading the scene" : ""));
+    element("loading").hidden = !live?.loading || live.stage.views.length > 0;
+  };
   const update = (now) => {
     if (!state) for (const fillMenu of fillMenus) fillMenu(now);
     state = now;
     connectionError = "";
-    showText(element("doing"), currentWork());
+    showWork();
     showProblems();
     element("welcome").hidden = Boolean(now.driving) || now.identities.length > 0;
     showRows();

@@ -348,7 +348,7 @@ def _write_previews(
         for number, (result, title) in enumerate(zip(results, titles, strict=True))
     ]
     if output.preview and len(results) > SHOWN_CLIPS:
-        command = shell_line("mimesh", "render", target.name, "-o", "NAME.html", "--animation", "NAME")
+        command = shell_line("mimesh", "render", target, "-o", "NAME.html", "--animation", "NAME")
         note = f"pictures and pages are of the first {SHOWN_CLIPS} of {len(results)} clips; {command} shows another"
         shown = [{**paths, "notes": (*paths["notes"], note)} for paths in shown]
     if output.open:

@@ -114,8 +114,8 @@ class Hints:
 
     part: str | None = declared(None, "Part of the mesh that is meant: an object, a group, a node.", metavar="NAME")
     """Name of the part of the identity that is meant, in a file with other people or things: an object, a group, or a
-    node with all that is below it. All else stays where it is. By default all, or in a file with the rig of a
-    character what joints carry."""
+    node with all that is below it. A mesh with a skin stands for its character: all that the same joints move. All
+    else stays where it is. By default all, or in a file with the rig of a character what joints carry."""
     driving_part: str | None = declared(None, "The same of DRIVING.", metavar="NAME")
     """The same of the driving; all else is not looked at."""
 

@@ -10,7 +10,7 @@ import contextlib
 import os
 from collections.abc import Iterable, Iterator, Sequence
 from contextvars import ContextVar
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING
 
 from ..core.printable import listed
@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 SHOWN = 3
 """Largest number of missing files that a note lists."""
+LONGEST_NAME = 80
+"""Characters of the name of a missing file that a note shows, the last ones."""
 _FOLDER: ContextVar[Path | None] = ContextVar("folder", default=None)
 
 
@@ -80,12 +82,20 @@ def missing_images(mesh: Mesh) -> tuple[str, ...]:
     return tuple(dict.fromkeys(getattr(mesh.source, "missing_images", ())))
 
 
+def _shown_file(name: str) -> str:
+    """Return the name of a file for a note: without the folder, unless this is one below that of the file it is of."""
+    path = PureWindowsPath(name)  # splits at both kinds of slashes
+    elsewhere = "\\" in name or path.drive or path.root or ".." in path.parts
+    return (path.name if elsewhere and path.name else name)[-LONGEST_NAME:]
+
+
 def missing_images_notes(names: Sequence[str]) -> tuple[str, ...]:
     """Return a note on images that a file names and that do not exist; none where there are none."""
     if not names:
         return ()
-    one = len(names) == 1
+    files = list(dict.fromkeys(_shown_file(name) for name in names))
+    one = len(files) == 1
     return (
-        f"{listed([name[:80] for name in names], SHOWN)}, which the file names, {'is' if one else 'are'} not "
+        f"{listed(files, SHOWN)}, which the file names, {'is' if one else 'are'} not "
         f"beside it: the surface is shown without; copy {'it' if one else 'them'} there",
     )

@@ -328,7 +328,10 @@ def retarget(
     moved = way.play(timer, motion, progress, np.float32)
     for which, report in (("identity", rigged.report), ("driving", captured.report)):
         moved.report[which]["up_from"] = report["up_from"]
-    notes = captured.notes + moved.notes
+    # The capture has said what there is to say of the clip, with its own options.
+    said, name, confidence = {*captured.notes}, theirs.clip.mesh.name, theirs.motion.confidence
+    said |= {*facing_note(theirs.norm, name, "driving_front"), *(confidence.notes(name) if confidence else ())}
+    notes = captured.notes + tuple(note for note in moved.notes if note not in said)
     return moved.clip_result(way.identity, theirs.clip, theirs.network.name, timer, notes)
 
 

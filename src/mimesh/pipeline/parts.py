@@ -8,6 +8,7 @@ by itself.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -141,15 +142,21 @@ def find_part(mesh: Mesh, name: str | None, asked: str = "part") -> MeshPart | N
     """Find the part of a mesh that is meant; None: all of it.
 
     Args:
-        name: of a part, or of a node above some; None: what joints carry, in a file with the rig of a character.
+        name: of a part, or of a node above some; one with a skin stands for all that its joints move. None: what joints
+            carry, in a file with the rig of a character.
         asked: the option that names it.
 
     Raises:
         InputError: no such part, or nobody says which of several characters is meant.
     """
-    if name is not None:
-        return _cut(mesh, _named(mesh, name, asked))
     source = _gltf_source(mesh)
+    if name is not None:
+        chosen = _named(mesh, name, asked)
+        if source is not None:
+            from ..io.gltf.parts import with_skeleton
+
+            chosen = with_skeleton(mesh, chosen)
+        return _cut(mesh, chosen)
     if source is None:
         return _without_base(mesh, asked)
     from ..io.gltf.parts import characters, static_parts
@@ -166,7 +173,11 @@ def find_part(mesh: Mesh, name: str | None, asked: str = "part") -> MeshPart | N
         part = _cut(mesh, ~static)
         facts = rig_facts(part.mesh)
         if facts is not None and facts.used:
-            return part
+            names = listed(
+                list(dict.fromkeys(part.name for part in itertools.compress(mesh.parts, static))), MOST_NAMED
+            )
+            note = f"{mesh.name} has parts that no joint and no animation moves, which stay where they are: {names}"
+            return dataclasses.replace(part, notes=(note,) if asked == "part" else ())
     return None if source.document.gltf.get("skins") else _without_base(mesh, asked)
 
 

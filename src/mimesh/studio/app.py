@@ -30,7 +30,7 @@ from .items import field_name, parse_rate
 from .jobs import Cancelled, error_line
 from .operations import describe_file
 from .session import Session
-from .state import describe, scene
+from .state import KeptScene, describe
 from .uploads import TooLarge, Upload, clip_name, find_clip, find_meshes
 
 STATE_TIMEOUT = 20.0
@@ -87,6 +87,7 @@ class Routes:
 
     def __init__(self, session: Session, is_closing: Callable[[], bool]) -> None:
         self._session, self._is_closing = session, is_closing
+        self._scene = KeptScene(session)
 
     async def _unless_closing(self, future: Awaitable[Any]) -> Any:
         """Await a future, but raise Cancelled once the server is ending, so that it need not wait for long work."""
@@ -222,9 +223,9 @@ class Routes:
         headers = {"content-disposition": f"attachment; filename*=UTF-8''{name}"}
         return JSONResponse(describe_file(item), headers=headers)
 
-    async def scene(self, request: Request) -> dict[str, Any]:
+    async def scene(self, request: Request) -> Response:
         """Send what the stage shows, packed for the player."""
-        return await self._in_thread(scene, self._session)
+        return Response(await self._in_thread(self._scene.encoded), media_type="application/json")
 
     async def begin_export(self, request: Request) -> dict[str, Any]:
         """Start to write results, rigs or the motion in a format; answers the number of the export."""

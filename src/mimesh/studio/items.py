@@ -74,8 +74,9 @@ def parse_rate(value: Any) -> float | None:
     advice = "leave it empty for the file's own"
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise InputError(f"frame rate: expected a number, found {value!r}; {advice}")
-    check_rate(float(value), "frame rate", advice)
-    return float(value)
+    rate = float(max(min(value, 1e9), -1e9))  # whole numbers of JSON may be too large for a float
+    check_rate(rate, "frame rate", advice)
+    return rate
 
 
 @dataclass(eq=False)
@@ -98,6 +99,8 @@ class Item:
     """Names of the parts of the mesh, if it has several."""
     part: str | None = None
     """Chosen part; None: see `pipeline.parts.find_part`."""
+    notes: tuple[str, ...] = ()
+    """What was taken of the file of the driving clip."""
     fps: float | None = None
     """Chosen frame rate; None for the file's own."""
     corrections: JointCorrections | None = None

@@ -38,6 +38,7 @@ from ..pipeline.result import ClipResult, Timer
 from ..pipeline.rigging import RiggedMesh, rig
 from ..pipeline.route import Route, find_route
 from ..tools.demo import driving_clip
+from ..tools.driving import animations_note
 from .items import Item, Options
 
 
@@ -82,6 +83,13 @@ def animations(content: Mesh | Clip) -> tuple[str, ...]:
         return animation_names(content.skeleton.document)
     mesh = content.mesh if isinstance(content, Clip) else content
     return tuple(getattr(mesh.source, "animations", ()))
+
+
+def notes(content: Mesh | Clip, item: Item) -> tuple[str, ...]:
+    """Return notes on what was taken of a file, as `mimesh animate` has them."""
+    if isinstance(content, Mesh) or item.path is None or item.animation is not None:
+        return ()
+    return animations_note(content, Path(item.name))
 
 
 def parts(content: Mesh | Clip) -> tuple[str, ...]:

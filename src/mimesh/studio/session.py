@@ -275,15 +275,15 @@ class Session:
                 return
             item.error = "" if error is None else self.page_error(error)
             if error is None:
-                content, item.facing = future.result()
+                content, item.facing, item.notes = future.result()
                 item.content, item.animations = content, operations.animations(content)
                 item.parts = operations.parts(content)
                 self._use_side_file(item)
             self.refresh()
 
-        def work(progress: Progress) -> tuple[Mesh | Clip, dict[str, Any]]:
+        def work(progress: Progress) -> tuple[Mesh | Clip, dict[str, Any], tuple[str, ...]]:
             content = read()
-            return content, operations.detect_facing(content, item.axes)
+            return content, operations.detect_facing(content, item.axes), operations.notes(content, item)
 
         self.worker.submit(("read", item.number), work).add_done_callback(finish)
         self.changed()

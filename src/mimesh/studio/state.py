@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import threading
 from typing import Any
 
 from ..bodies.animals import ANIMALS
@@ -24,6 +26,8 @@ STUDIO_MODELS = tuple(name for name in MODELS if name != "deformation-transfer")
 """Models that need nothing but the two meshes."""
 SCENE_BUDGET = 256 * 2**20
 """Size of a scene in bytes: large, since it is sent within one machine."""
+SHOWN_RATE = 30.0
+"""Frames a second that the stage shows, about, of clips with more: results and exports have all."""
 
 
 def describe(session: Session) -> dict[str, Any]:
@@ -80,8 +84,28 @@ def scene(session: Session) -> dict[str, Any]:
         first = panels if len(panels) == 1 else []
         results = [(item, _result_panel(session, item)) for item in identities]
         panels = [*first, (driving, _panel(session, driving, "driving")), *results]
-    packed = pack_scene([panel for _, panel in panels], budget=SCENE_BUDGET) if panels else None
+    fastest = max((panel.clip.fps for _, panel in panels if panel.frames > 1), default=SHOWN_RATE)
+    step = max(1, int(fastest / SHOWN_RATE + 0.01))  # 59.94 is 60
+    shown = [panel.with_every(step) for _, panel in panels]
+    packed = pack_scene(shown, budget=SCENE_BUDGET) if panels else None
     return {"key": key, "numbers": [item.number for item, _ in panels], "scene": packed}
+
+
+class KeptScene:
+    """What the stage of a session shows, encoded, until it shows another scene: pages that are reloaded wait once."""
+
+    def __init__(self, session: Session) -> None:
+        self._session, self._lock = session, threading.Lock()
+        self._key, self._content = "", b""
+
+    def encoded(self) -> bytes:
+        """Return `scene` as JSON; pages that ask at the same time wait for the same."""
+        with self._lock:
+            if not self._content or self._key != scene_key(self._session):
+                self._content = b""
+                packed = scene(self._session)
+                self._content, self._key = json.dumps(packed, separators=(",", ":")).encode(), packed["key"]
+            return self._content
 
 
 def _shown_items(session: Session) -> list[Item]:
@@ -135,6 +159,7 @@ def _describe_item(session: Session, item: Item) -> dict[str, Any]:
         "given_fps": item.fps,
         "animations": item.animations,
         "animation": item.animation,
+        "notes": [] if content is None else item.notes,
         "parts": item.parts,
         "part": item.part,
         "up": item.up,

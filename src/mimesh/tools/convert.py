@@ -13,7 +13,7 @@ from .. import io
 from ..core.animated_rig import RigAnimation
 from ..core.errors import InputError, option
 from ..core.frame_buffer import PosedFrames, Progress, part
-from ..core.mesh import Mesh, cut_clip, far_note, stored_clip
+from ..core.mesh import Clip, Mesh, cut_clip, far_note, stored_clip
 from ..core.normalization import parse_axis
 from ..core.options import ConvertOptions
 from ..core.printable import shell_line
@@ -122,7 +122,7 @@ def convert(
         + rate_note(clip.fps, target)
     )
     if options.frame is None and options.animation is None:
-        notes += animations_note(io.list_animations(source), source)
+        notes += animations_note(clip, source)
     notes += missing_images_notes(missing_images(clip.mesh))
     return Converted(len(clip.mesh.vertices), len(clip), clip.fps, notes)
 
@@ -189,7 +189,7 @@ def _with_bones(source: Path, target: Path, options: ConvertOptions, given: list
     cut = cut_animation(mesh.source, options.animation, options.fps, options.slice)
     with io.joints_file(target) as temporary:
         write_own_animations([cut], temporary)
-    notes += animations_note(names, source) if options.animation is None else ()
+    notes += animations_note(Clip.still(mesh), source) if options.animation is None else ()
     return Converted(count, cut.frames, cut.fps, notes)
 
 

@@ -14,6 +14,7 @@ from .. import io
 from ..core.errors import InputError, option
 from ..core.frame_buffer import Progress
 from ..core.mesh import Clip, check_cut, cut_clip
+from ..core.printable import listed
 from ..io.formats import CACHE
 
 if TYPE_CHECKING:
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
 
 ALL = "all"
 """Value of `--animation` for all animations of a file."""
+MOST_NAMED = 3
+"""Animations that are taken together that a note names."""
 
 
 @dataclass(frozen=True)
@@ -32,8 +35,6 @@ class DrivingClip:
     """Name or number of the animation, as `io.load_clip` takes it; None: the first, with those that complement it."""
     name: str
     """Name of the animation in the result: that of the animation if the file has several, else that of the file."""
-    animations: tuple[str, ...] = ()
-    """Names of all animations of the file."""
 
 
 def choose_clips(driving: Sequence[Path], selectors: Sequence[str] | None) -> list[DrivingClip]:
@@ -73,7 +74,7 @@ def _clips_of(path: Path, selector: str | None) -> Iterator[DrivingClip]:
     if not names:  # reading the file refuses a selector
         yield DrivingClip(path, None if selector == ALL else selector, file_stem(path))
     elif selector is None:
-        yield DrivingClip(path, None, _clip_name(path, names, 0) if len(names) > 1 else file_stem(path), names)
+        yield DrivingClip(path, None, _clip_name(path, names, 0) if len(names) > 1 else file_stem(path))
     else:
         from ..io.gltf.animation import find_animation
 
@@ -81,7 +82,7 @@ def _clips_of(path: Path, selector: str | None) -> Iterator[DrivingClip]:
         for number in numbers:
             # Of animations of one name only the number tells which is meant.
             exact = names[number] if names.count(names[number]) == 1 else str(number)
-            yield DrivingClip(path, exact, _clip_name(path, names, number), names)
+            yield DrivingClip(path, exact, _clip_name(path, names, number))
 
 
 def _clip_name(path: Path, names: Sequence[str], number: int) -> str:
@@ -124,7 +125,7 @@ def read_driving(
         notes: tuple[str, ...] = ()
     else:
         clip, notes = read_clip(path, body_model, fps, chosen.animation, progress)
-    notes += animations_note(chosen.animations, path, several=True) if chosen.animation is None else ()
+    notes += animations_note(clip, path, several=True) if chosen.animation is None else ()
     notes += taken_rate_note(clip, path) if fps is None else ()
     if frames.start == 0:
         # The capture is kept in memory: nothing is read again.
@@ -159,9 +160,23 @@ def taken_rate_note(clip: Clip, path: Path) -> tuple[str, ...]:
     return (f"{path.name} has no frame rate: {clip.fps:g} frames a second are taken; --fps gives another",)
 
 
-def animations_note(names: Sequence[str], path: Path, several: bool = False) -> tuple[str, ...]:
-    """Return a note on which animation was taken, if a file has several."""
-    if len(names) < 2:
+def animations_note(clip: Clip, path: Path, several: bool = False) -> tuple[str, ...]:
+    """Return a note on which animation of a file was taken for a clip, if the file has others.
+
+    Args:
+        several: all of them can be taken.
+    """
+    document = getattr(clip.skeleton, "document", None) or getattr(clip.mesh.source, "document", None)
+    if document is None:
         return ()
+    from ..io.gltf.animation import animation_names, taken_animations
+
+    names, taken = animation_names(document), taken_animations(document)
+    if len(taken) == len(names) or not taken:
+        return ()
+    if taken == (0,):
+        which = f"the first, {names[0]}, is taken"
+    else:
+        which = f"{listed([names[number] for number in taken], MOST_NAMED)} {'is' if len(taken) == 1 else 'are'} taken"
     others = f"{option('animation', ...)} takes another" + f", {option('animation', ALL)} takes all of them" * several
-    return (f"{path.name} has {len(names)} animations: the first, {names[0]}, is taken; {others}",)
+    return (f"{path.name} has {len(names)} animations: {which}; {others}",)

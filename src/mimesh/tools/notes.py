@@ -79,10 +79,12 @@ def _metres_note(mesh: Mesh, path: Path, animal: bool) -> tuple[str, ...]:
 
     The same of animals, of many sizes: only centimetres and millimetres are told.
 
-    glTF files are in metres, too, whatever they should be in: only a .vrm, which is a person, gets a note on them.
+    glTF files are in metres, too, whatever they should be in: only a .vrm, which is a person, gets a note on them. USD
+    states a unit, which is the metre where the mesh's own file has none.
     """
     suffix, own = path.suffix.lower(), getattr(mesh.source, "suffix", "")
-    if suffix not in JOINTED or hasattr(mesh.source, "meters_per_unit") or (own in JOINTED and suffix != ".vrm"):
+    in_metres = suffix in JOINTED or suffix.startswith(".usd")
+    if not in_metres or hasattr(mesh.source, "meters_per_unit") or (own in JOINTED and suffix != ".vrm"):
         return ()
     sides = np.ptp(mesh.vertices, axis=0)  # of a person who stands the height: floors are wider
     longest = float(sides.max() if animal or mesh.up is None else sides["xyz".index(mesh.up[-1])])

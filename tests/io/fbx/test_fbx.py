@@ -257,6 +257,11 @@ def test_missing_texture_is_noted_and_not_written(tmp_path):
     assert "textures" not in open_document(tmp_path / "b.glb").gltf
 
 
+def test_a_texture_that_names_no_file_is_not_missing(tmp_path):
+    """Exporters write textures whose image was never set."""
+    assert load_mesh(looks(tmp_path, "")).source.missing_images == ()
+
+
 def test_textures_outside_of_a_confining_folder_are_not_read(tmp_path):
     inner = tmp_path / "inner"
     inner.mkdir()

@@ -1,13 +1,16 @@
 """Writing FBX: what Blender is given, how it is found, and what happens where it is missing or fails."""
 
 import json
+import runpy
 import stat
 import sys
+import types
 from pathlib import Path
 
 import gltf_samples as samples
 import numpy as np
 import pytest
+from rigs import character, quantized
 
 from mimesh.core.errors import InputError
 from mimesh.io import load_clip, load_mesh, save_mesh, save_whole
@@ -38,7 +41,7 @@ def fbx_surfaces(folder: Path) -> Path:
         {"uri": "textures/gone.tga"},
     ]
     sample.gltf["textures"] = [{"source": number} for number in range(4)]
-    diffuse = {"diffuseTexture": {"index": 0}}
+    diffuse = {"diffuseTexture": {"index": 0}, "specularGlossinessTexture": {"index": 3}}
     sample.gltf["materials"] = [
         {"name": "coat", "pbrMetallicRoughness": {"baseColorFactor": [0.1, 0.2, 0.3, 0.5]}},
         {
@@ -46,7 +49,7 @@ def fbx_surfaces(folder: Path) -> Path:
             "alphaMode": "BLEND",
             "pbrMetallicRoughness": {"baseColorFactor": [0.4, 0.5, 0.6, 0.5], "baseColorTexture": {"index": 1}},
         },
-        {"extensions": {"KHR_materials_pbrSpecularGlossiness": diffuse}},
+        {"extensions": {"KHR_materials_pbrSpecularGlossiness": diffuse}, "normalTexture": {"index": 3}},
     ]
     return sample.text(folder / "hero.gltf")
 
@@ -108,6 +111,25 @@ def test_failure_of_blender_is_one_line_and_writes_nothing(body, found, monkeypa
     assert "\n" not in str(caught.value)
     assert "or write a .glb" in str(caught.value)
     assert not list(tmp_path.glob("*.fbx"))
+
+
+def test_reason_of_a_failure_is_the_type_and_the_message_of_the_error(monkeypatch, tmp_path):
+    """Errors of Blender's operators have a traceback, and end with where the operator was called."""
+    monkeypatch.setitem(sys.modules, "bpy", types.ModuleType("bpy"))
+    script = runpy.run_path(str(write.SCRIPT))
+    traceback = 'Error: Python: Traceback (most recent call last):\n  File "a.py", line 2, in b\n    c()\n'
+    error = RuntimeError(f"{traceback}KeyError: 'key \"hips\" not found'\nLocation: /bpy/ops.py:109\n")
+    assert script["reason"](error) == "KeyError: 'key \"hips\" not found'"
+    assert script["reason"](MemoryError()) == "MemoryError"
+
+
+@pytest.mark.parametrize(("unit", "kept"), [(1.0, True), (1e-5, False)])
+def test_skeleton_of_a_skin_that_is_bound_in_another_unit_is_left_out(unit, kept, copier, tmp_path):
+    path = quantized(character(tmp_path / "plain.glb"), tmp_path / "hero.glb", unit)
+    save_whole(path, tmp_path / "out.fbx")
+    document = copier(tmp_path / "out.fbx")[1]
+    assert ["skeleton" in skin for skin in document.gltf["skins"]] == [kept]
+    np.testing.assert_allclose(load_mesh(path).vertices, load_mesh(tmp_path / "plain.glb").vertices, atol=1e-5)
 
 
 def test_blender_that_does_not_end_is_stopped(monkeypatch, tmp_path):
@@ -183,4 +205,8 @@ def test_materials_and_images_are_listed_with_their_names(copier, tmp_path):
     assert [image["name"] for image in job["images"]] == ["colour map.png", "skin_1.png", "Skin_1-2.png", "gone.tga"]
     keys = [entry["key"] for entry in (*job["materials"], *job["images"])]
     assert len(set(keys)) == len(keys)
+    # Blender's importer fails at such a texture of an image that is not there.
+    assert "normalTexture" not in document.gltf["materials"][2]
+    gloss = document.gltf["materials"][2]["extensions"]["KHR_materials_pbrSpecularGlossiness"]
+    assert gloss == {"diffuseTexture": {"index": 0}}
     assert [entry["name"] for entry in (*document.gltf["materials"], *document.gltf["images"])] == keys

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation, Slerp
 from mimesh.core.errors import InputError
 from mimesh.core.mesh import Clip
 from mimesh.io import load_clip, load_mesh, save_clip
-from mimesh.io.gltf.animation import AnimationChannel, animated_nodes, frame_rate, select_channels
+from mimesh.io.gltf.animation import AnimationChannel, animated_nodes, frame_rate, select_channels, taken_animations
 from mimesh.io.gltf.document import Document, MappedFiles, open_document
 
 HIP_QUATERNIONS = [[0, 0, 0, 1], [0, 0, 0.6, 0.8]]
@@ -160,6 +160,7 @@ def test_animations_of_other_nodes_are_read_with_the_first_and_alternatives_are_
     sample.gltf["animations"] = [first, *({**first, **moving(node)} for node in (other, moved))]
     document = open_document(sample.glb(tmp_path / "a.glb"))
     assert [found.node for found in select_channels(document, None)] == [moved, other]
+    assert taken_animations(document) == (0, 1)
 
 
 def test_nodes_that_any_animation_moves_are_listed():

@@ -174,14 +174,19 @@ def call(operator, options, **more):
 
 
 def main():
-    """Run the job that the command line names; an error becomes one line of its file `errors`."""
+    """Run the job that the command line names; the reason of an error becomes the one line of its file `errors`."""
     job = json.loads(Path(sys.argv[sys.argv.index("--") + 1]).read_text(encoding="utf-8"))
     try:
         export(job)
     except Exception as error:
-        # Whatever Blender raises: the caller makes one line of it.
-        Path(job["errors"]).write_text(" ".join(str(error).split()), encoding="utf-8")
+        Path(job["errors"]).write_text(reason(error), encoding="utf-8")
         raise
+
+
+def reason(error):
+    """Return the type and message of an error; those of an operator have a traceback, and say where it was called."""
+    lines = [line for line in str(error).splitlines() if line.strip() and not line.startswith(("Location:", " "))]
+    return lines[-1].strip() if lines else type(error).__name__
 
 
 if __name__ == "__main__":

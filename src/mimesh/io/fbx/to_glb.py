@@ -474,9 +474,11 @@ class MaterialWriter:
         files = [texture, *items(texture.file_textures)]
         content = next((found for file in files if (found := self._image(file)) is not None), None)
         paths = [file.relative_filename or file.absolute_filename for file in files]
-        name = next((PureWindowsPath(path).name for path in paths if path), texture.name)
+        names = [PureWindowsPath(path).name for path in paths if not path.endswith(("/", "\\"))]
+        names = [name for name in names if name]
+        name = next(iter(names), texture.name)
         if content is None:
-            self.missing.append(name)
+            self.missing += names[:1]  # exporters write textures whose image was never set, too
             return None
         gltf = self.draft.gltf
         images, samplers, textures = (gltf.setdefault(key, []) for key in ("images", "samplers", "textures"))

@@ -36,7 +36,7 @@ from ..gltf.document import Document, open_document, uri_file_name
 from ..gltf.draft import AccessorCopier, Draft
 from ..gltf.own_animation import node_value
 from ..gltf.read import base_color_of, base_texture_of
-from ..gltf.scene import node_parents, read_inverse_bind_matrices, world_matrices
+from ..gltf.scene import local_matrices, node_parents, read_inverse_bind_matrices, world_matrices
 from ..mtl import image_type
 from ..timing import DEFAULT_FPS
 
@@ -51,6 +51,8 @@ GAP = 2
 """Frames between two animations, so that none begins where another ends."""
 SHORTEST = 2
 """Frames of a pose: a strip of time needs an end after its beginning."""
+SAME_UNIT = 1e-2
+"""Share by which the unit that a skin is bound in may differ from that of the node above its joints."""
 MATERIAL, IMAGE = "mimesh-material-{}", "mimesh-image-{}"
 """Names of materials and images during the import; Blender keeps up to 63 bytes."""
 SUFFIXES = {"image/png": ".png", "image/jpeg": ".jpg", "image/webp": ".webp", "image/ktx2": ".ktx2"}
@@ -101,6 +103,7 @@ def write_fbx(glb: Path, target: Path, name: Path) -> None:
     command = find_blender(name)
     document = open_document(glb)
     draft, timeline = joined_animations(document)
+    _place_skeletons(draft, document)
     surfaces = _plain_materials(draft, document)
     with scratch_folder() as folder:
         scene, job = folder / "scene.glb", folder / "job.json"
@@ -218,30 +221,71 @@ def _make_joints(draft: Draft, document: Document, bones: set[int]) -> None:
     draft.gltf["skins"] = [*skins, skin]
 
 
+def _place_skeletons(draft: Draft, document: Document) -> None:
+    """Remove the skeleton that a skin names, where the skin is not bound in the unit of the node above its joints.
+
+    Blender places the topmost joints of such a skeleton by their inverse bind matrices. Files with quantized positions
+    are bound in units of thousands: bones that far away lose their length in single precision, and are removed.
+    """
+    local, parents = local_matrices(document), node_parents(document)
+    for number, skin in enumerate(document.gltf.get("skins", [])):
+        bound = np.linalg.det(read_inverse_bind_matrices(document, number)[:, :3, :3])
+        for joint, volume in zip(skin["joints"], bound, strict=True):
+            topmost = parents[joint] not in skin["joints"]
+            if topmost and abs(np.cbrt(volume * np.linalg.det(local[joint][:3, :3])) - 1) > SAME_UNIT:
+                draft.gltf["skins"][number].pop("skeleton", None)
+
+
+def _without_textures(entry: Any, missing: set[int]) -> Any:
+    """Return a material, or an entry of one, without its references to some textures."""
+    if not isinstance(entry, dict):
+        return entry
+    return {
+        key: _without_textures(value, missing)
+        for key, value in entry.items()
+        if not (key.endswith("Texture") and isinstance(value, dict) and value.get("index") in missing)
+    }
+
+
 def _plain_materials(draft: Draft, document: Document) -> dict[str, list[dict[str, Any]]]:
-    """Rename the materials and images of a draft, and list what the script is to make of each."""
+    """Rename the materials and images of a draft, and list what the script is to make of each.
+
+    Textures without an image are left out: Blender's importer fails at some of them.
+    """
+    missing = {
+        number
+        for number, texture in enumerate(draft.gltf.get("textures", []))
+        if not any(document.images[image] for image in _images_of(texture, document))
+    }
+    if "materials" in draft.gltf:
+        draft.gltf["materials"] = [_without_textures(entry, missing) for entry in draft.gltf["materials"]]
     images = [{"key": IMAGE.format(number), "name": name} for number, name in enumerate(_image_names(document))]
     materials = []
     for number, entry in enumerate(draft.gltf.get("materials", [])):
         *color, alpha = base_color_of(entry)
         reference, source = base_texture_of(entry), None
-        if "index" in reference:  # the image of an extension where the texture has no plain one
-            texture = draft.gltf["textures"][reference["index"]]
-            others = [other for other in texture.get("extensions", {}).values() if isinstance(other, dict)]
-            source = next((each["source"] for each in (texture, *others) if "source" in each), None)
+        if "index" in reference:
+            source = next(iter(_images_of(draft.gltf["textures"][reference["index"]], document)), None)
         materials.append(
             {
                 "key": MATERIAL.format(number),
                 "name": entry.get("name") or f"material{number}",
                 "color": color,
                 "alpha": alpha if entry.get("alphaMode", "OPAQUE") == "BLEND" else 1.0,
-                "image": images[source]["key"] if isinstance(source, int) and 0 <= source < len(images) else None,
+                "image": None if source is None else images[source]["key"],
             }
         )
         entry["name"] = materials[-1]["key"]
     for entry, image in zip(draft.gltf.get("images", []), images, strict=True):
         entry["name"] = image["key"]
     return {"materials": materials, "images": images}
+
+
+def _images_of(texture: dict[str, Any], document: Document) -> list[int]:
+    """List the images of a texture: the plain one, and those of extensions."""
+    others = [other for other in texture.get("extensions", {}).values() if isinstance(other, dict)]
+    named = [each.get("source") for each in (texture, *others)]
+    return [image for image in named if isinstance(image, int) and 0 <= image < len(document.images)]
 
 
 def _image_names(document: Document) -> list[str]:

@@ -271,26 +271,47 @@ def animated_nodes(document: Document, paths: Collection[str]) -> set[int]:
 
 
 def select_channels(document: Document, selector: str | None) -> list[AnimationChannel]:
-    """Read the channels of the selected animation; with None, of the first one and of those that complement it.
+    """Read the channels of the selected animation; with None, of the first one and of those that complement it."""
+    if selector is not None:
+        return read_channels(document, find_animation(animation_names(document), selector, document.path))
+    return _from_zero([channel for channels in _complementing(document).values() for channel in channels])
+
+
+def taken_animations(document: Document) -> tuple[int, ...]:
+    """List the animations that are played together where none is selected: the first, and those that complement it.
 
     Complementing animations are those, in file order, whose targets no chosen animation has. Blender writes one
     animation for each object that moves, and all of them belong together; animations of the same targets are
     alternatives (measured with Blender 4.5 and 5.0, docs/log/formats.md).
     """
-    if selector is not None:
-        return read_channels(document, find_animation(animation_names(document), selector, document.path))
-    selected: list[AnimationChannel] = []
-    for number in range(len(document.gltf.get("animations", []))):
-        targets = {(channel.node, channel.path) for channel in selected}
+    return tuple(_complementing(document))
+
+
+def _named_targets(animation: Any) -> set[tuple[Any, Any]]:
+    """List nodes and paths that an animation moves, without reading keys; none of a damaged one."""
+    try:
+        return {(channel["target"].get("node"), channel["target"]["path"]) for channel in animation["channels"]}
+    except (AttributeError, KeyError, TypeError):
+        return set()
+
+
+def _complementing(document: Document) -> dict[int, list[AnimationChannel]]:
+    """Read the channels of `taken_animations`, with the times that the file has; keys of alternatives are not read."""
+    taken: dict[int, list[AnimationChannel]] = {}
+    targets: set[tuple[int, str]] = set()
+    for number, entry in enumerate(document.gltf.get("animations", [])):
+        if not targets.isdisjoint(_named_targets(entry)):
+            continue
         try:
             channels = _read_channels(document, number)
         except InputError:
-            if not selected:
+            if not targets:
                 raise
             continue  # an animation that is not asked for may be damaged
-        if not any((channel.node, channel.path) in targets for channel in channels):
-            selected += channels
-    return _from_zero(selected)
+        if channels:
+            taken[number] = channels
+            targets |= {(channel.node, channel.path) for channel in channels}
+    return taken
 
 
 def frame_rate(channels: list[AnimationChannel]) -> float | None:

@@ -46,20 +46,18 @@ def characters(mesh: Mesh) -> dict[str, Bool[np.ndarray, " P"]]:
     """Find the characters of a scene of several: skeletons whose surfaces stand side by side, by name -> their parts.
 
     A name is that of all parts of a character and of none of the others, else it gets a number. Clothes and levels of
-    detail with skeletons of their own are where the body is, and count as one character with it.
+    detail with skeletons of their own are where the body is, and count as one character with it. What hangs on a joint
+    is a part of its character, and does not tell where this stands.
     """
     source = cast(GltfSource, mesh.source)
-    document, parents = source.document, node_parents(source.document)
-    every = {joint for skin in document.gltf.get("skins", []) for joint in skin["joints"]}
+    document, roots = source.document, _root_joints(mesh)
     boxes: dict[int, list[Float[np.ndarray, "2 3"]]] = {}
-    joints, names, roots = dict[int, set[int]](), dict[int, list[str]](), np.full(len(mesh.parts), -1)
-    for k, (above, (_, span)) in enumerate(zip(names_above(mesh), _ranges(source.rest).items(), strict=True)):
+    joints, names = dict[int, set[int]](), dict[int, list[str]]()
+    for root, above, span in zip(roots.tolist(), names_above(mesh), _ranges(source.rest).values(), strict=True):
         skin = find_skin(document, span)
         if skin is None:
             continue
         of_skin = document.gltf["skins"][skin]["joints"]
-        root = [node for node in ancestors(parents, of_skin[0]) if node in every][-1]
-        roots[k] = root
         points = mesh.vertices[span.start : span.stop]
         boxes.setdefault(root, []).append(np.stack([points.min(axis=0), points.max(axis=0)]))
         names[root] = [name for name in names.get(root, above) if name in above]
@@ -79,6 +77,26 @@ def characters(mesh: Mesh) -> dict[str, Bool[np.ndarray, " P"]]:
         own = (name for name in names[root] if name not in others)
         own_names[root] = next(own, f"{[*names[root], 'character'][0]} {k}")
     return {own_names[root]: roots == root for root in found}
+
+
+def with_skeleton(mesh: Mesh, chosen: Bool[np.ndarray, " P"]) -> Bool[np.ndarray, " P"]:
+    """Add to some parts all others that the joints of these move: a mesh with a skin stands for its whole character."""
+    source, roots = cast(GltfSource, mesh.source), _root_joints(mesh)
+    skinned = [find_skin(source.document, span) is not None for span in _ranges(source.rest).values()]
+    return chosen | np.isin(roots, roots[chosen & np.array(skinned, bool)])
+
+
+def _root_joints(mesh: Mesh) -> Int[np.ndarray, " P"]:
+    """Return the topmost joint of the skeleton that moves each part, by a skin or from above its node; -1: none."""
+    source = cast(GltfSource, mesh.source)
+    document, parents = source.document, node_parents(source.document)
+    every = {joint for skin in document.gltf.get("skins", []) for joint in skin["joints"]}
+    roots = []
+    for key, span in _ranges(source.rest).items():
+        skin = find_skin(document, span)
+        lowest = key[0] if skin is None else document.gltf["skins"][skin]["joints"][0]
+        roots.append([-1, *(node for node in ancestors(parents, lowest) if node in every)][-1])
+    return np.array(roots, int)
 
 
 def names_above(mesh: Mesh) -> list[tuple[str, ...]]:
