@@ -36,10 +36,10 @@ PARTS = ("Trunk", "Head", *(side + part for side in SIDES for part in ROWS if pa
 NEEDED = frozenset(side + joint for side in SIDES for joint in ("Arm", "ForeArm", "Hand", "UpLeg"))
 """Joints without which there are no points."""
 SAMPLES = 16384
-"""Points of a surface among which its girths are measured. With a quarter of them and of NEAREST, others of the same
+"""Points of a surface among which its girths are measured. With a quarter of them, others of the same
 surface moved hands by up to 2 to 5 % of the height, where contacts move them by 6 to 9; now by 0.7 to 2."""
-NEAREST = 128
-"""Samples of the surface whose mean distance is the girth at a point."""
+NEAREST = 32
+"""Samples of the surface whose mean distance is the girth at a point, for each 4096 of all."""
 WIDTH = 0.25
 """Standard deviation of their weights (radians around the line). Medians of 8 samples differed twice as much between
 samples of one surface (hands 1.5 cm, heads 0.8)."""
@@ -116,6 +116,7 @@ class BodyGrid:
         part_of = labels[(weights @ np.eye(len(labels))[column]).argmax(axis=1)]
         arm = float(np.mean([np.linalg.norm(place[f"{side}Hand"] - place[f"{side}Arm"]) for side in SIDES]))
         parts, found, sizes, count = {}, [], [], 0
+        nearest = NEAREST * max(1, len(points) // 4096)
         for part in PARTS:
             rows = np.flatnonzero(part_of == part)
             if part.endswith("Hand"):
@@ -129,10 +130,12 @@ class BodyGrid:
                 rows = rows[np.linalg.norm(points[rows] - wrist, axis=1) < length]
             line = _line(part, place, points[rows]) if len(rows) >= FEWEST else None
             if line is not None:
-                found.append(_rings(part, line, points[rows], weights[rows]))
+                found.append(_rings(part, line, points[rows], weights[rows], nearest))
                 parts[part] = slice(count, count := count + len(found[-1][0]))
                 around, rows = ROWS[part.removeprefix("Left").removeprefix("Right")]
                 sizes += len(rows) * [around]
+        if not found:  # almost all of the surface is a prop's
+            return None
         grid, normals, weights = (np.concatenate(arrays) for arrays in zip(*found, strict=True))
         step, still = 0.1 * arm, np.broadcast_to(np.eye(3), (len(joints), 3, 3))
         skinned = SkinnedMesh.of(
@@ -214,7 +217,7 @@ def _line(part: str, place: dict[str, np.ndarray], surface: Float[np.ndarray, "N
 
 
 def _rings(
-    part: str, line: Line, surface: Float[np.ndarray, "N 3"], weights: Float[np.ndarray, "N J"]
+    part: str, line: Line, surface: Float[np.ndarray, "N 3"], weights: Float[np.ndarray, "N J"], most: int
 ) -> tuple[Float[np.ndarray, "P 3"], Float[np.ndarray, "P 3"], Float[np.ndarray, "P J"]]:
     """Return the points of a part, their unit normals and weights, from samples of its surface in a T-pose.
 
@@ -238,7 +241,7 @@ def _rings(
     up, angle = np.radians(up), np.tile(np.arange(count) * (2 * np.pi / count), len(rows))
     level = np.cos(angle)[:, None] * front + np.sin(angle)[:, None] * across
     direction = np.cos(up)[:, None] * level + np.sin(up)[:, None] * axis
-    apart, nearest = tree.query(np.column_stack([at * stretch, direction]), min(NEAREST, len(surface)))
+    apart, nearest = tree.query(np.column_stack([at * stretch, direction]), min(most, len(surface)))
     near = np.exp((np.square(apart[:, :1]) - np.square(apart)) / (2 * WIDTH**2))
     near /= near.sum(axis=1, keepdims=True)
     first = np.arange(0, near.size + 1, near.shape[1])
