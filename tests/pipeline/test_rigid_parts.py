@@ -86,7 +86,7 @@ def test_parts_turn_rigidly_to_the_directions_of_the_driving(kind, model, tmp_pa
     path = boxes(tmp_path / ("a.vrm" if kind == "vrm" else "a.glb"), kind)
     facts = rig_facts(load_mesh(path))
     assert facts is not None
-    assert facts.stands == "up +y, front +z, a person by its rig"
+    assert facts.stance.text == "up +y, front +z, a person by its rig"
     body, motion = load_body(), window(load_motion("walk"), 0.0, 0.3)
     driving = str(write_bvh(tmp_path / "walk.bvh", body, motion))
     hints = Hints(driving_up="+y", driving_front="+z")

@@ -55,6 +55,9 @@ def test_a_person_in_centimetres_without_a_unit_is_noted_in_formats_in_metres(tm
         "its unit is cm; scale by 0.01 on import",
         "its unit is mm; scale by 0.001 on import",
     ]
+    large, small = (mesh.with_vertices(size / 182.5 * mesh.vertices) for size in (11.35, 0.6))
+    assert not_kept(large, tmp_path / "man.vrm", "human")[0].endswith("no person's size; scale it")
+    assert not_kept(large, tmp_path / "man.glb") == not_kept(small, tmp_path / "man.vrm", "human") == ()
     in_metres = load_mesh(tmp_path / "man.glb")
     assert not_kept(in_metres, tmp_path / "man.gltf") == ()
     assert "man.vrm has in metres" in not_kept(in_metres, tmp_path / "man.vrm")[0]

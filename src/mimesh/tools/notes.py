@@ -22,6 +22,8 @@ LARGE = 256 * 2**20
 """Bytes of a clip from which on a note says how to make it smaller."""
 PERSON = (1.4, 2.1)
 """Longest side (metres) of a standing person, arms spread or not: smallest and largest."""
+FIGURE = (0.3, 4.0)
+"""Size (metres) of figures of people: dwarfs and giants of games."""
 ANIMAL = {"m": 10.0, "cm": 500.0, "mm": 5000.0}
 """Unit -> longest side of an animal in it, at most."""
 UNITS = (("m", 1.0), ("dm", 0.1), ("cm", 0.01), ("mm", 0.001), ("inch", 0.0254))
@@ -48,7 +50,7 @@ def not_kept(mesh: Mesh, path: Path, body: str | None = None) -> tuple[str, ...]
     suffix = path.suffix.lower()
     if isinstance(mesh.source, RewritableSource) and mesh.source.suffix == suffix:
         return ()
-    turned = _turned_note(mesh, path) + (() if body == "other" else _metres_note(mesh, path, body == "quadruped"))
+    turned = _turned_note(mesh, path) + (() if body == "other" else _metres_note(mesh, path, body))
     materials = {part.material for part in mesh.parts}
     is_image = len(materials) == 1 and any(material and material.texture for material in materials)
     has = {
@@ -74,10 +76,11 @@ def _turned_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
     return (f"{mesh.name} has up {mesh.up}: {path.name} is turned to +y, which its format has up",)
 
 
-def _metres_note(mesh: Mesh, path: Path, animal: bool) -> tuple[str, ...]:
+def _metres_note(mesh: Mesh, path: Path, body: str | None) -> tuple[str, ...]:
     """Return a note on a person of no person's size in a format in metres, unless the mesh's own file has a unit.
 
-    The same of animals, of many sizes: only centimetres and millimetres are told.
+    The same of animals, of many sizes: only centimetres and millimetres are told. Sizes that fit no unit are told of
+    what is known to be a person.
 
     glTF files are in metres, too, whatever they should be in: only a .vrm, which is a person, gets a note on them. USD
     states a unit, which is the metre where the mesh's own file has none.
@@ -86,9 +89,12 @@ def _metres_note(mesh: Mesh, path: Path, animal: bool) -> tuple[str, ...]:
     in_metres = suffix in JOINTED or suffix.startswith(".usd")
     if not in_metres or hasattr(mesh.source, "meters_per_unit") or (own in JOINTED and suffix != ".vrm"):
         return ()
+    animal = body == "quadruped"
     sides = np.ptp(mesh.vertices, axis=0)  # of a person who stands the height: floors are wider
     longest = float(sides.max() if animal or mesh.up is None else sides["xyz".index(mesh.up[-1])])
     unit = unit_guess(longest) if not animal else next((u for u, sizes in ANIMAL.items() if longest < sizes), None)
+    if unit is None and body == "human" and not FIGURE[0] <= longest <= FIGURE[1]:
+        return (f"{mesh.name} measures {longest:.4g}, which {path.name} has in metres: no person's size; scale it",)
     if unit in (None, "m"):
         return ()
     kind = "an animal" if animal else "a person"
