@@ -67,6 +67,7 @@ def test_what_other_processes_send_is_the_same(captured):
     np.testing.assert_array_equal(followed.clip.vertices, moved.clip.vertices)
 
 
+@pytest.mark.slow  # a network, 9 s
 def test_what_the_capture_has_said_of_the_clip_is_said_once():
     """With the options of `capture`: those of `animate` on the driving are none here."""
     clip = walk(faces=600)
