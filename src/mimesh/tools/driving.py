@@ -171,7 +171,10 @@ def animations_note(clip: Clip, path: Path, several: bool = False) -> tuple[str,
         return ()
     from ..io.gltf.animation import animation_names, taken_animations
 
-    names, taken = animation_names(document), taken_animations(document)
+    names = animation_names(document)
+    if len(names) < 2:  # most files: their keys are not read again
+        return ()
+    taken = taken_animations(document)
     if len(taken) == len(names) or not taken:
         return ()
     if taken == (0,):

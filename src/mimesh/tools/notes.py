@@ -11,6 +11,7 @@ import numpy as np
 from ..core.errors import option
 from ..core.mesh import Mesh, RewritableSource
 from ..core.normalization import clear_up
+from ..core.printable import shell_line
 from ..io.formats import CACHE, FORMATS, JOINTED, MORPHED, MOTIONS
 from ..io.polygons import smooth_normals
 from ..io.timing import DEFAULT_FPS, ON_GRID, frame_count
@@ -214,8 +215,6 @@ def taken_pose_note(mesh: Mesh, path: Path) -> tuple[str, ...]:
     if note := own_body_note(path):
         return note
     if getattr(mesh.source, "animations", ()):
-        return (
-            f"{path.name} has an animation: its mesh at rest is taken; for another pose, mimesh convert {path.name} "
-            "pose.obj --frame N",
-        )
+        command = shell_line("mimesh", "convert", path.name, "pose.obj", "--frame", "N")
+        return (f"{path.name} has an animation: its mesh at rest is taken; for another pose, {command}",)
     return ()
